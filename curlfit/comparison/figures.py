@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +17,28 @@ from curlfit.comparison.result import (
 )
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES
+from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
+from curlfit.output.figures import Style
+from curlfit.output.panels import (
+    Band,
+    Interval,
+    Row,
+    RowValue,
+    Series,
+    note_stretch,
+    plot,
+    plot_path,
+    plot_residuals,
+    plot_rows,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MOST = 4  # other laws drawn
+_MILLI = 1e-3  # m in mm, rad in mrad
+_MARK = Style("0.15", "none", marker="o", size=4.5, edge=0.9)
 
 
 @draw.style()
@@ -34,12 +54,9 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     """
     if comparison.sets:
         return _figure_of_sets(comparison)
-    shown = [
-        candidate for candidate in comparison.candidates if candidate.fitted is not None
-    ]
-    styles = draw.line_styles(len(shown))
+    fits = _fits(comparison)
     lacking = comparison.lacking
-    height = 4.0 + 0.2 * len(shown)
+    height = 4.0 + 0.2 * len(fits)
     heights = [height / 2, height / 2]
     if lacking is not None:
         heights.append(2.0)
@@ -50,48 +67,82 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     residual, sizes = below_path
     lettered = [path, residual]
 
-    t = np.array(comparison.observed["t"], float)
-    x = np.array(comparison.observed["x"], float)
-    y = np.array(comparison.observed["y"], float)
-    some = draw.some_rows(len(t))
-    path.plot(y[some], x[some], **draw.DATA_STYLE, label="data")
-    for number, (candidate, style) in enumerate(zip(shown, styles, strict=True)):
-        fitted = {
-            name: np.array(values) for name, values in (candidate.fitted or {}).items()
-        }
-        style["lw"] = 1.5 if candidate.follows else 0.9
-        style["zorder"] = 3 + len(shown) - number  # the best above all others
-        label = candidate.label
-        if candidate.rank is not None:
-            label = f"{candidate.rank}. {label}"
-        if NOISES[candidate.noise].has_discrepancy:
-            label += ", law alone"
-        path.plot(fitted["y"], fitted["x"], **style, label=label)
-        residual.plot(t, 1000 * (x - fitted["x"]), **style)
-    path.margins(x=0.02, y=0.1)
-    draw.x_along_y(path)
-    draw.title(path, f"{draw.file_name(comparison.data.file)}: {len(shown)} fits")
-    path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
-    residual.axhline(0, **draw.ZERO_LINE)
-    residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
-    _sizes(sizes, shown, "bulk" if LOSSES[comparison.loss].is_robust else "rms")
+    _paths(path, comparison, fits)
+    _residuals(residual, comparison, fits)
+    plot_rows(sizes, _sizes(fits))
+    sizes.set_xscale("log")
+    size = "bulk" if LOSSES[comparison.loss].is_robust else "rms"
+    sizes.set_xlabel(f"{size} of the residuals\nbold: follows the path")
+    sizes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     if lacking is not None:
-        style_by_label = {
-            candidate.label: style
-            for candidate, style in zip(shown, styles, strict=True)
-        }
+        style_by_label = {fit.candidate.label: fit.style for fit in fits}
         panels: Any = rows[2].subgridspec(1, len(COMPONENTS)).subplots()
         _lacking(panels, lacking, style_by_label)
         lettered.append(panels[0])
     draw.letters(lettered, 0.45)
     figure.draw_without_rendering()  # the note depends on the layout
     figure.set_layout_engine("none")
-    draw.note_stretch(path)
+    note_stretch(path)
     return figure
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """The path of a candidate at the times of the data, in m, and how it is drawn."""
+
+    candidate: Candidate
+    x: Floats
+    y: Floats
+    style: Style
+
+
+def _fits(comparison: Comparison) -> list[_Fit]:
+    """The candidates that were fitted, the best first and drawn above all others."""
+    path_by_candidate = [
+        (candidate, candidate.fitted)
+        for candidate in comparison.candidates
+        if candidate.fitted is not None
+    ]
+    count = len(path_by_candidate)
+    fits = []
+    for number, style in enumerate(draw.line_styles(count)):
+        candidate, path = path_by_candidate[number]
+        width = 1.5 if candidate.follows else 0.9
+        style = replace(style, width=width, zorder=3 + count - number)
+        x = np.array(path["x"])
+        y = np.array(path["y"])
+        fits.append(_Fit(candidate, x, y, style))
+    return fits
+
+
+def _paths(axes: Axes, comparison: Comparison, fits: Sequence[_Fit]) -> None:
+    """The path as measured and as each candidate fits it, seen from above."""
+    observed = comparison.observed
+    x = np.array(observed["x"], float)
+    y = np.array(observed["y"], float)
+    paths = [Series(y, x, draw.DATA, "data")]
+    for fit in fits:
+        label = fit.candidate.label
+        if fit.candidate.rank is not None:
+            label = f"{fit.candidate.rank}. {label}"
+        if NOISES[fit.candidate.noise].has_discrepancy:
+            label += ", law alone"
+        paths.append(Series(fit.y, fit.x, fit.style, label))
+    plot_path(axes, paths)
+    draw.title(axes, f"{draw.file_name(comparison.data['file'])}: {len(fits)} fits")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
+
+
+def _residuals(axes: Axes, comparison: Comparison, fits: Sequence[_Fit]) -> None:
+    """The residuals of x of each candidate over time."""
+    t = np.array(comparison.observed["t"], float)
+    x = np.array(comparison.observed["x"], float)
+    residuals = [Series(t, (x - fit.x) / _MILLI, fit.style) for fit in fits]
+    plot_residuals(axes, residuals, label="residual of x (mm)")
+
+
 def _lacking(
-    panels: Any, lacking: Lacking, style_by_label: Mapping[str, dict[str, Any]]
+    panels: Sequence[Axes], lacking: Lacking, style_by_label: Mapping[str, Style]
 ) -> None:
     """What the path has beyond the first law against speed, and what
     others would add."""
@@ -100,23 +151,22 @@ def _lacking(
         axes = panels[row]
         lacks = lacking.lacks[row]
         error = lacking.stderr[row]
-        for times, alpha in ((1.96, 0.3), (1.0, 0.5)):  # 95 % and 68 %
-            axes.fill_between(
-                lacking.speed,
-                lacks - times * error,
-                lacks + times * error,
-                color="0.6",
-                alpha=alpha,
-                lw=0,
-            )
-        axes.plot(lacking.speed, lacks, color="0.25", lw=1)
-        limits = axes.get_ylim()
+        wide = 1.96 * error
+        plot_residuals(
+            axes,
+            [Series(lacking.speed, lacks, Style("0.25", width=1))],
+            [
+                Band(lacking.speed, lacks - wide, lacks + wide, 0.3, "0.6"),
+                Band(lacking.speed, lacks - error, lacks + error, 0.5, "0.6"),
+            ],
+            label=f"{name} ({unit})",
+            over="speed (m/s)",
+        )
+        limits = axes.get_ylim()  # what others add may lie far beyond
         for label in nearest:
-            style = style_by_label[label] | {"lw": 0.9}
-            axes.plot(lacking.speed, lacking.others[label][row], **style)
+            style = replace(style_by_label[label], width=0.9)
+            plot(axes, Series(lacking.speed, lacking.others[label][row], style))
         axes.set_ylim(limits)
-        axes.axhline(0, **draw.ZERO_LINE)
-        axes.set(xlabel="speed (m/s)", ylabel=f"{name} ({unit})")
     draw.title(
         panels[0], f"What the path has beyond {draw.literal(lacking.law)}", loc="left"
     )
@@ -126,30 +176,38 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
     """Chi squared per degree of freedom of each law on each data set: filled with the
     coefficients that all sets have in common, open with those of the set alone."""
     shown = [candidate for candidate in comparison.candidates if candidate.sets]
-    rows = np.arange(len(shown))
     height = 1.3 + 0.22 * len(shown)
     figure = draw.Picture(figsize=(draw.WIDTH, height), layout="constrained")
     panels: Any = figure.subplots(1, len(comparison.sets), sharey=True, squeeze=False)
-    first = panels[0, 0]
+    in_common = Style("0.15", "none", marker="o", size=6)
+    alone = replace(in_common, fill="white")
     for number, data_set in enumerate(comparison.sets):
         axes = panels[0, number]
-        fits = [candidate.sets[number] for candidate in shown]
-        common = np.array([fit.chi_squared / fit.dof for fit in fits])
-        alone = np.array([fit.own_chi_squared / fit.own_dof for fit in fits])
-        low = min(0.3, *alone, *common)
-        high = max(20.0, *alone, *common)
-        axes.axvspan(low / 1.5, FOLLOWS, color="0.92", lw=0)
-        axes.hlines(rows, alone, common, color="0.15", lw=1.0)
-        axes.plot(
-            alone, rows, "o", color="0.15", markerfacecolor="white", label="alone"
-        )
-        axes.plot(common, rows, "o", color="0.15", label="with common coefficients")
+        low = 0.3
+        high = 20.0
+        rows = []
+        for candidate in shown:
+            fit = candidate.sets[number]
+            values = (
+                RowValue(fit.own_chi_squared / fit.own_dof, alone, label="alone"),
+                RowValue(
+                    fit.chi_squared / fit.dof,
+                    in_common,
+                    label="with common coefficients",
+                ),
+            )
+            low = min(low, *(value.value for value in values))
+            high = max(high, *(value.value for value in values))
+            rows.append(
+                Row(candidate.label, values, joined=True, bold=bool(candidate.follows))
+            )
+        follows = Interval(low / 1.5, FOLLOWS, "0.92", 1.0)
+        plot_rows(axes, rows, follows)
         axes.set(xscale="log", xlim=(low / 1.5, 1.5 * high))
         axes.set_xlabel("chi squared per\ndegree of freedom")
         draw.title(axes, draw.file_name(data_set.name))
-    _name_rows(first, shown)
     figure.legend(
-        *first.get_legend_handles_labels(),
+        *panels[0, 0].get_legend_handles_labels(),
         loc="outside lower center",
         ncols=2,
         title="grey: within 1.5 times the noise; bold: follows all",
@@ -157,35 +215,22 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
     return figure
 
 
-def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:
-    """Sizes of the residuals of each candidate, by row."""
-    for name, marker, filling, unit in (
-        ("x", "o", "white", "mm"),
-        ("y", "s", "0.15", "mm"),
-        ("phi", "^", "0.7", "mrad"),
-    ):
-        values = [
-            1000 * candidate.residual_size.get(name, np.nan) for candidate in shown
-        ]
-        axes.plot(
-            values,
-            range(len(shown)),
-            marker,
-            color="0.15",
-            markerfacecolor=filling,
-            markersize=4.5,
-            markeredgewidth=0.9,
-            label=f"${draw.CHANNEL_LABEL[name]}$ ({unit})",
-        )
-    _name_rows(axes, shown)
-    axes.set_xscale("log")
-    axes.set_xlabel(f"{size} of the residuals\nbold: follows the path")
-    axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-
-
-def _name_rows(axes: Any, shown: Sequence[Candidate]) -> None:
-    """A row for each candidate, from above; those that follow are bold."""
-    axes.set_yticks(range(len(shown)), [candidate.label for candidate in shown])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    for tick, candidate in zip(axes.get_yticklabels(), shown, strict=True):
-        tick.set_fontweight("bold" if candidate.follows else "normal")
+def _sizes(fits: Sequence[_Fit]) -> list[Row]:
+    """Sizes of the residuals of each candidate by channel, in mm and mrad."""
+    style_by_channel = {
+        "x": replace(_MARK, fill="white"),
+        "y": replace(_MARK, marker="s"),
+        "phi": replace(_MARK, marker="^", fill="0.7"),
+    }
+    rows = []
+    for fit in fits:
+        values = []
+        for channel, size in fit.candidate.residual_size.items():
+            if channel in style_by_channel:
+                unit = "mrad" if channel == "phi" else "mm"
+                label = f"${draw.CHANNEL_LABEL[channel]}$ ({unit})"
+                style = style_by_channel[channel]
+                values.append(RowValue(size / _MILLI, style, label=label))
+        follows = bool(fit.candidate.follows)
+        rows.append(Row(fit.candidate.label, values, bold=follows))
+    return rows

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -16,9 +17,15 @@ from curlfit.optimal_design.discrimination import DECISIVE, ODDS, Discrimination
 from curlfit.optimal_design.report import noise_text
 from curlfit.optimal_design.result import Design
 from curlfit.output import figures as draw
+from curlfit.output.figures import Style
+from curlfit.output.panels import Series, plot
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 _MAX_LABELLED = 80  # cells of a map with a number in each
-_PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
+_PLANNED = Style("0.5", ":", width=0.9)
 
 
 @draw.style()
@@ -44,7 +51,7 @@ def _quantity(design: Design, name: str) -> str:
 
 
 def _cells(
-    axes: Any,
+    axes: Axes,
     values: Mapping[tuple[float, float], float],
     framed: Iterable[tuple[float, float]],
     number: Callable[[float], str],
@@ -91,7 +98,7 @@ def _cells(
         )
 
 
-def _label_cells(axis: Any, numbers: Sequence[float], most: int) -> None:
+def _label_cells(axis: Axis, numbers: Sequence[float], most: int) -> None:
     """Ticks at the first of the cells along an axis and at each so many from it."""
     step = math.ceil(len(numbers) / most)
     indices = range(0, len(numbers), step)
@@ -99,15 +106,17 @@ def _label_cells(axis: Any, numbers: Sequence[float], most: int) -> None:
 
 
 def _number(value: float) -> str:
+    """A standard error in two digits, short enough for a cell."""
     return f"{value:.2g}" if value >= 0.01 else f"{value:.1e}".replace("e-0", "e-")
 
 
 def _map(design: Design) -> draw.Picture:
+    """The standard error of each quantity from one throw, over speed and spin."""
     names = list(design.quantities)
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = math.ceil(len(names) / columns)
     tall = 0.8 + 0.28 * len({throw.omega0 for throw in design.candidates})
-    figure, grid = draw.panels(
+    figure, grid = draw.subplots(
         max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False
     )
     panels = grid.flat
@@ -143,7 +152,7 @@ def discrimination_figure(found: Discrimination) -> Figure:
     chosen = [found.candidates[index] for index in found.throws]
     framed = [(throw.v0, abs(throw.omega0)) for throw in chosen]
     height = 1.6 + 0.28 * len({spin for _, spin in values})
-    figure, axes = draw.panels(height, 1, 1, 0.72 * draw.WIDTH)
+    figure, axes = draw.subplots(height, 1, 1, 0.72 * draw.WIDTH)
     _cells(
         axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}"
     )
@@ -160,6 +169,7 @@ def discrimination_figure(found: Discrimination) -> Figure:
 
 
 def _errors(design: Design) -> draw.Picture:
+    """Standard errors of the optimal throws against noise, rate and their number."""
     about = {
         "place": f"noise relative to\n{_noise_of(design, ('x', 'y', 'speed'))}",
         "angle": f"noise relative to\n{_noise_of(design, ('phi', 'omega'))}",
@@ -168,22 +178,17 @@ def _errors(design: Design) -> draw.Picture:
     }
     planned = {"place": 1.0, "angle": 1.0, "rate": design.rate, "throws": design.throws}
     names = [name for name in about if name in design.curves]
-    figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
+    figure, (panels,) = draw.subplots(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
         curve = design.curves[name]
         styles = draw.line_styles(len(design.quantities))
         for quantity, style in zip(design.quantities, styles, strict=True):
-            values = np.array(curve[quantity], float)
-            axes.plot(
-                curve["at"],
-                values,
-                ".",
-                ms=4,
-                **style,
-                label=_quantity(design, quantity),
-            )
+            at = np.array(curve["at"], float)
+            errors = np.array(curve[quantity], float)
+            dotted = replace(style, marker=".")
+            plot(axes, Series(at, errors, dotted, _quantity(design, quantity)))
         axes.set(xscale="log", yscale="log", xlabel=about[name])
-        axes.axvline(planned[name], **_PLANNED)
+        axes.axvline(planned[name], **_PLANNED.options())
         if name == "throws":
             counts = [int(count) for count in curve["at"] if count is not None]
             axes.set_xticks(counts, map(str, counts))
@@ -199,6 +204,7 @@ def _errors(design: Design) -> draw.Picture:
 
 
 def _noise_of(design: Design, channels: Sequence[str]) -> str:
+    """The noise of some channels as planned, in words."""
     return noise_text(
         {name: value for name, value in design.sigma.items() if name in channels}
     )

@@ -1,4 +1,4 @@
-"""Style of the figures: sizes, colours, axes, units, saving.
+"""Style of the figures: sizes, colours, lines and marks, words, saving.
 
 Figures are as wide as two journal columns and have journal font sizes. A colour has one
 meaning everywhere; markers, dashes and lightness convey the same without colour.
@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 from warnings import catch_warnings, filterwarnings
 
 import numpy as np
@@ -21,12 +22,15 @@ from matplotlib import rc_context, rc_params_from_file
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.mathtext import MathTextParser
-from matplotlib.patches import Circle
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from curlfit import sheet
 from curlfit.foreign import cut, printable
+from curlfit.output.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backend_bases import RendererBase
+    from matplotlib.text import Text
 
 Floats = NDArray[np.float64]
 
@@ -35,42 +39,31 @@ WIDTH = 180 / 25.4
 DPI = 220
 """Resolution of PNG files, and of points in PDF and SVG files."""
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
-(
+FIT_COLOR = "#0072B2"
+"""of the fitted law"""
+REFERENCE_COLOR = "#D55E00"
+"""of published or true values, goals and requirements"""
+POSTERIOR_COLOR = "#CC79A7"
+"""of samples"""
+COVARIANCE_COLOR = "#E69F00"
+PREDICTION_COLOR = "#56B4E9"
+"""of bands and regions of a prediction"""
+PALETTE = (
     FIT_COLOR,
     REFERENCE_COLOR,
-    _,
+    "#009E73",
     POSTERIOR_COLOR,
     COVARIANCE_COLOR,
     PREDICTION_COLOR,
-    _,
-) = PALETTE
-"""of the fitted law; of published or true values, goals and requirements; of samples;
-of the covariance; of bands and regions of a prediction"""
+    "#000000",
+)
+"""Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
 DATA_COLOR = "#737373"
 QUIET = "0.35"
 """of notes"""
 
-DATA_STYLE: dict[str, Any] = {
-    "color": DATA_COLOR,
-    "marker": "o",
-    "markersize": 2.0,
-    "markeredgewidth": 0,
-    "linestyle": "none",
-    "zorder": 1,
-}
-LATER_STYLE = DATA_STYLE | {
-    "markeredgewidth": 0.5,
-    "markerfacecolor": "white",
-    "markersize": 2.6,
-}
-"""of data that were not fitted"""
 RINGS = ("#e8ecf0", "#ffffff", "#f5e4e0", "#ffffff")
 """of the rings of a house, from the twelve-foot circle to the button"""
-LINE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "zorder": 1}
-"""of the lines of the sheet"""
-ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
 DASHES = ("-", "--", "-.", ":")
 CHANNEL_LABEL = {
@@ -80,15 +73,71 @@ CHANNEL_LABEL = {
     "speed": "v",
     "omega": r"\omega",
 }
-RATE_LABEL = {"speed": "speed (m/s)", "omega": r"spin $\omega$ (rad/s)"}
 _UNDATED: dict[str, dict[str, Any]] = {
     "pdf": {"CreationDate": None},
     "svg": {"Date": None},
 }
 
 _MIN_FONT_SIZE = 1.0  # points
-_SLOPES = 40  # maximum number estimated from a measured series
 MAX_POINTS = 2000  # maximum number drawn of a series
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a line or marks look; lengths are in points of print.
+
+    Attributes
+    ----------
+    dashes : one of `DASHES`, or "none" for marks without a line.
+    width : of the line, and of error bars.
+    marker : a marker of matplotlib, such as "o"; empty for none.
+    size : of a mark.
+    edge : width of the edge of a mark.
+    fill : colour within a mark, if it is not that of its edge.
+    cap : half the width of the ends of error bars.
+    zorder : what has a larger one lies above.
+    """
+
+    color: str
+    dashes: str = "-"
+    width: float = 1.2
+    marker: str = ""
+    size: float = 4.0
+    edge: float = 1.0
+    fill: str | None = None
+    cap: float = 0.0
+    zorder: float = 2
+
+    @property
+    def is_marks(self) -> bool:
+        """Whether there are marks alone, without a line."""
+        return self.dashes == "none"
+
+    def options(self) -> dict[str, Any]:
+        """Keyword arguments of matplotlib's functions that draw lines."""
+        options: dict[str, Any] = {
+            "color": self.color,
+            "linestyle": self.dashes,
+            "linewidth": self.width,
+            "zorder": self.zorder,
+        }
+        # collections of lines know no markers
+        if self.marker:
+            options |= {
+                "marker": self.marker,
+                "markersize": self.size,
+                "markeredgewidth": self.edge,
+                "markerfacecolor": self.fill or self.color,
+            }
+        return options
+
+
+DATA = Style(DATA_COLOR, "none", marker="o", size=2.0, edge=0, zorder=1)
+LATER_DATA = replace(DATA, edge=0.5, fill="white", size=2.6)
+"""of data that were not fitted"""
+SHEET_LINE = Style("0.6", width=0.6, zorder=1)
+"""of the lines of the sheet"""
+ZERO_LINE = Style("0.6", width=0.7, zorder=0.9)
 
 
 @lru_cache(1)
@@ -116,7 +165,7 @@ class Picture(Figure):
     """A matplotlib figure in the common style, which notebooks display
     without pyplot."""
 
-    def draw(self, renderer: Any) -> None:
+    def draw(self, renderer: RendererBase) -> None:
         """Draw in the common style: ticks are made only now."""
         with style():
             super().draw(renderer)
@@ -124,8 +173,8 @@ class Picture(Figure):
     def savefig(
         self, fname: Any, *, transparent: bool | None = None, **options: Any
     ) -> None:
-        """As in `Figure`; PDF files have their fonts embedded, and no
-        file has a date."""
+        """Write the figure as matplotlib's `Figure` does; PDF files have their fonts
+        embedded, and no file has a date."""
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
@@ -138,7 +187,7 @@ class Picture(Figure):
         return file.getvalue()
 
 
-def panels(
+def subplots(
     height: float, rows: int, columns: int, width: float = WIDTH, **options: Any
 ) -> tuple[Picture, Any]:
     """A figure of some height in inches with axes in a grid, as large as their
@@ -147,7 +196,7 @@ def panels(
     return figure, figure.subplots(rows, columns, **options)
 
 
-def row(
+def side_by_side(
     figure: Figure,
     top: float,
     height: float,
@@ -156,9 +205,9 @@ def row(
     left: float = 0.62,
     right: float = 0.12,
     gap: float = 0.62,
-) -> list[Any]:
-    """Axes side by side at fixed positions, all lengths in inches from the edges of the
-    figure: ten times as fast as a layout that measures text."""
+) -> list[Axes]:
+    """Axes beside one another at fixed positions, all lengths in inches from the edges
+    of the figure: ten times as fast as a layout that measures text."""
     across, tall = figure.get_size_inches()
     width = (across - left - right - gap * (count - 1)) / count
     return [
@@ -169,102 +218,9 @@ def row(
     ]
 
 
-def some_rows(n: int, most: int = MAX_POINTS) -> Any:
+def some_rows(n: int, most: int = MAX_POINTS) -> NDArray[np.intp]:
     """Indices of at most `most` evenly spaced rows."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
-
-
-def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
-    """Slopes of straight lines through groups of successive rows: measured
-    speeds and spins.
-
-    Returns
-    -------
-    mean times of the groups, slopes of each series there, and the duration of a group,
-    s. There are at most 40 groups of at least three rows; rows with a gap in any series
-    are left out.
-    """
-    complete = np.isfinite(series).all(0)
-    t = t[complete]
-    values = np.array(series)[:, complete]
-    number = min(_SLOPES, len(t) // 3)
-    if number < 2:
-        return np.zeros(0), np.zeros((len(series), 0)), 0.0
-    middles = []
-    slopes = []
-    durations = []
-    for rows in np.array_split(np.arange(len(t)), number):
-        duration = np.ptp(t[rows])
-        if duration > 0:
-            middle = t[rows].mean()
-            dt = t[rows] - middle
-            middles.append(middle)
-            slopes.append(values[:, rows] @ dt / (dt @ dt))
-            durations.append(duration)
-    return np.array(middles), np.transpose(slopes), float(np.median(durations))
-
-
-def plot_rate(
-    axes: Any, rows: Mapping[str, Floats], name: str, style: Any = DATA_STYLE
-) -> None:
-    """Plot the speed or the spin of measured rows, or else the slopes of the
-    path or angle."""
-    sources = ("x", "y") if name == "speed" else ("phi",)
-    series = [rows[source] for source in sources if source in rows]
-    if name in rows:
-        axes.plot(rows["t"], rows[name], **style)
-    elif series:
-        times, slopes, span = measured_slopes(rows["t"], *series)
-        if len(times):
-            rates = np.hypot(*slopes) if name == "speed" else slopes[0]
-            label = f"slopes of the data over {span:.2g} s"
-            axes.plot(times, rates, **style, label=label)
-    axes.set(xlabel="t (s)", ylabel=RATE_LABEL[name])
-
-
-def x_along_y(axes: Any, y_label: str = "along the sheet, y (m)") -> None:
-    """Label axes with x along the sheet, as seen from above, thrown to the right;
-    also in feet."""
-    axes.set(xlabel=y_label, ylabel="to the right, x (m)")
-    axes.invert_yaxis()
-    feet(axes)
-
-
-def feet(axes: Any) -> None:
-    """A second vertical axis, in feet, on the right of one in metres."""
-    second = axes.secondary_yaxis(
-        "right", functions=(lambda m: m / sheet.FOOT, lambda ft: ft * sheet.FOOT)
-    )
-    second.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    second.set_ylabel("(ft)")
-    second.spines["right"].set_visible(True)
-    second.grid(visible=False)
-
-
-def plot_house(axes: Any, centre: tuple[float, float]) -> None:
-    """The rings of a house."""
-    for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
-        axes.add_patch(Circle(centre, radius, fc=color, ec="0.55", lw=0.6, zorder=0.5))
-
-
-def sheet_axes(
-    axes: Any, names: Mapping[str, str], beyond: float, lw: float = 0.6
-) -> None:
-    """The lines of the sheet to scale, thrown to the right, and the names of some
-    within the ends of the axes, which reach `beyond` the centre line."""
-    half = sheet.WIDTH / 2
-    lines = [y for name, y in sheet.LINES.items() if name not in ("hack", "centre")]
-    axes.vlines(
-        [*lines, sheet.TEE + sheet.TEE_TO_BACK], -half, half, **LINE | {"lw": lw}
-    )
-    axes.set_aspect("equal")
-    axes.set_ylim(beyond + 0.1, -beyond - 0.1)
-    named = {sheet.LINES[line]: name for line, name in names.items()}
-    shown = [y for y in named if y > axes.get_xlim()[0]]
-    axes.set_xticks(shown, [named[y] for y in shown])
-    axes.set_yticks([-half, 0, half], ["left", "0", "right"])
-    axes.tick_params(length=0)
-    axes.grid(visible=False)
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
 
 
 def literal(text: str) -> str:
@@ -279,7 +235,24 @@ def file_name(file: str) -> str:
     return literal(FilePath(file).name)
 
 
-def law_and_load(result: Any) -> str:
+class _Modelled(Protocol):
+    """A result of a law under a load."""
+
+    @property
+    def law(self) -> str: ...
+
+    @property
+    def load(self) -> str: ...
+
+
+class _WithSymbol(Protocol):
+    """A parameter with the symbol that it has in formulas, such as "v_0"."""
+
+    @property
+    def symbol(self) -> str: ...
+
+
+def law_and_load(result: _Modelled) -> str:
     """What was fitted, for a title."""
     return f"{literal(result.law)} law, {literal(result.load)} load"
 
@@ -304,9 +277,9 @@ def math_symbol(symbol: str) -> str:
     return rf"\mathrm{{{letters}}}"
 
 
-def symbol_of(estimate: Any) -> str:
-    """The symbol of an estimate, as mathematics."""
-    return f"${math_symbol(estimate.symbol)}$"
+def symbol_of(parameter: _WithSymbol) -> str:
+    """The symbol of a parameter, as mathematics."""
+    return f"${math_symbol(parameter.symbol)}$"
 
 
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
@@ -318,7 +291,9 @@ def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
     return " ".join(word.replace("-", "\N{MINUS SIGN}") for word in words)
 
 
-def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) -> str:
+def weighted_sum(
+    weights: Mapping[str, float], parameters: Mapping[str, _WithSymbol]
+) -> str:
     """A combination of parameters in their symbols, for mathematics."""
     text = ""
     for name, weight in weights.items():
@@ -328,7 +303,7 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     return text.removeprefix("+")
 
 
-def legend_above(axes: Any, ncols: int | None = None) -> None:
+def legend_above(axes: Axes, ncols: int | None = None) -> None:
     """A legend above the right end of the axes, where no curve runs, if any;
     in one line."""
     count = len(axes.get_legend_handles_labels()[1])
@@ -344,21 +319,24 @@ def legend_above(axes: Any, ncols: int | None = None) -> None:
         )
 
 
-def note(axes: Any, x: float, y: float, text: str, **style: Any) -> Any:
+def note(
+    axes: Axes, x: float, y: float, text: str, color: str = QUIET, **options: Any
+) -> Text:
     """Text inside axes, of which (1, 1) is the upper right corner."""
-    style = {"color": QUIET, "ha": "right" if x > 0.5 else "left"} | style
     return axes.text(
         x,
         y,
         text,
         transform=axes.transAxes,
+        color=color,
+        ha="right" if x > 0.5 else "left",
         va="top" if y > 0.5 else "baseline",
-        **style,
+        **options,
     )
 
 
 def letters(
-    panels: Iterable[Any], aside: float = 0.5, up: float = 4, names: str = "abcdef"
+    panels: Iterable[Axes], aside: float = 0.5, up: float = 4, names: str = "abcdef"
 ) -> None:
     """Letters of panels, `aside` inches left of and `up` points above their upper
     left corners."""
@@ -377,52 +355,38 @@ def letters(
 
 
 def title(
-    axes: Any,
+    axes: Axes,
     text: str,
     *,
     columns: int = 1,
     margin: float = 1.0,
-    loc: str | None = None,
+    loc: Literal["left", "center", "right"] | None = None,
 ) -> None:
     """A title that fits the width of one of `columns` columns, minus a
     margin in inches."""
-    figure = axes.get_figure()
-    shrink(
-        axes.set_title(text, loc=loc), figure.bbox.width / columns - margin * figure.dpi
-    )
+    figure = axes.figure
+    width = figure.bbox.width / columns - margin * figure.dpi
+    shrink(axes.set_title(text, loc=loc), width)
 
 
-def shrink(text: Any, max_width: float) -> None:
+def shrink(text: Text, max_width: float) -> None:
     """Reduce the font size of a text until it is at most `max_width` pixels wide."""
-    while (
-        text.get_window_extent().width > max_width
-        and text.get_fontsize() > _MIN_FONT_SIZE
-    ):
-        text.set_fontsize(0.95 * text.get_fontsize())
+    size = float(text.get_fontsize())
+    while text.get_window_extent().width > max_width and size > _MIN_FONT_SIZE:
+        size *= 0.95
+        text.set_fontsize(size)
 
 
-def note_stretch(axes: Any) -> None:
-    """Note in the label of the horizontal axis by what factor the vertical
-    scale is larger."""
-    spans = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1)
-    along, across = axes.get_window_extent().size / spans
-    if across > 1.5 * along:
-        times = float(f"{across / along:.2g}")
-        axes.set_xlabel(f"{axes.get_xlabel()}; x is drawn {times:g} times as large")
-
-
-def line_styles(number: int) -> list[dict[str, Any]]:
-    """Colour and dashes of each of `number` lines; neighbours differ in both."""
+def line_styles(number: int) -> list[Style]:
+    """Styles of a number of lines; neighbours differ in colour and dashes."""
     return [
-        {"color": PALETTE[index % len(PALETTE)], "ls": DASHES[index % len(DASHES)]}
+        Style(PALETTE[index % len(PALETTE)], DASHES[index % len(DASHES)])
         for index in range(number)
     ]
 
 
 def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> None:
     """Write a figure atomically, in the format given by the file name."""
-    from curlfit.output.files import atomic_write
-
     # Drawn in memory: matplotlib's own writers leave half a file on a full disk.
     path = FilePath(file)
     image = BytesIO()

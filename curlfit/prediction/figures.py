@@ -3,27 +3,67 @@ of the table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.patches import Circle, Ellipse, Rectangle
+from matplotlib.patches import Circle, Ellipse
 
 from curlfit import sheet
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
-from curlfit.prediction.result import Prediction
+from curlfit.output.figures import Style
+from curlfit.output.panels import (
+    LAW,
+    Band,
+    Series,
+    add_feet,
+    measured_rate,
+    plot_house,
+    plot_on_sheet,
+    plot_path,
+    plot_rate,
+    plot_residuals,
+)
+from curlfit.prediction.result import HeldOut, Prediction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
 _REST = ("rest_x", "rest_y")
-_LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
-"""Percentiles at the ends of the bands, opacity and label."""
-_OTHER: dict[str, Any] = {
-    "color": draw.REFERENCE_COLOR,
-    "lw": 0.9,
-    "ls": "--",
-    "zorder": 4,
+_OTHER = Style(draw.REFERENCE_COLOR, "--", width=0.9, zorder=4)
+"""of the throw with the other turn"""
+_LINE_NAMES = {
+    "hog": "hog line",
+    "far-hog": "hog line",
+    "tee": "tee",
+    "far-tee": "tee",
 }
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A central interval of the draws: percentiles at its ends, and how it is drawn."""
+
+    low: str
+    high: str
+    opacity: float
+    label: str
+
+
+_WIDE = _Level("2.5", "97.5", 0.3, "95 %")
+_LEVELS = (_WIDE, _Level("16", "84", 0.6, "68 %"))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Measured channels on the sheet, by name in SI units, and how they are drawn."""
+
+    channels: Mapping[str, Floats]
+    style: Style
+    label: str
 
 
 @draw.style()
@@ -37,19 +77,23 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
     """
     check = prediction.check
     figure = draw.Picture(figsize=(draw.WIDTH, 5.15 if check is None else 6.75))
-    (top,) = draw.row(figure, 0.3, 0.9, left=0.45, right=0.08)
-    (house,) = draw.row(figure, 1.65, 3.05, left=0.6, right=draw.WIDTH - 3.1)
-    (across,) = draw.row(figure, 1.65, 1.25, left=4.1, right=0.52)
-    rates = draw.row(figure, 3.7, 1.0, 2, left=4.1, right=draw.WIDTH - 6.76, gap=0.7)
+    (top,) = draw.side_by_side(figure, 0.3, 0.9, left=0.45, right=0.08)
+    (house,) = draw.side_by_side(figure, 1.65, 3.05, left=0.6, right=draw.WIDTH - 3.1)
+    (across,) = draw.side_by_side(figure, 1.65, 1.25, left=4.1, right=0.52)
+    rates = draw.side_by_side(
+        figure, 3.7, 1.0, 2, left=4.1, right=draw.WIDTH - 6.76, gap=0.7
+    )
     _sheet_view(prediction, top)
     _resting_place(prediction, house)
     _cross_track(prediction, across)
     for axes, name in zip(rates, ("speed", "omega"), strict=True):
         _rate(prediction, axes, name)
     if check is not None:
-        below = draw.row(figure, 5.5, 0.85, len(check.channels), left=0.6, gap=0.65)
+        below = draw.side_by_side(
+            figure, 5.5, 0.85, len(check.channels), left=0.6, gap=0.65
+        )
         for axes, name in zip(below, check.channels, strict=True):
-            _residuals(prediction, axes, name)
+            _residuals(prediction.series, check, axes, name)
     law = draw.literal(prediction.law)
     file = draw.file_name(prediction.fit["file"])
     throw = "another throw on this ice"
@@ -61,77 +105,71 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
     return figure
 
 
-def _sheet_view(prediction: Prediction, axes: Any) -> None:
+def _measured_of(prediction: Prediction) -> list[_Measured]:
+    """What was measured of the path, of the fitted rows and of those not fitted."""
+    label = "data, fitted" if prediction.of == "fitted" else "data of the fitted throw"
+    measured = [_Measured(prediction.measured, draw.DATA, label)]
+    if prediction.check is not None:
+        later = prediction.check.observed
+        measured.append(_Measured(later, draw.LATER_DATA, "data, not fitted"))
+    return [part for part in measured if {"x", "y"} <= part.channels.keys()]
+
+
+def _bands(at: Floats, edge: Callable[[str], Floats]) -> list[Band]:
+    """Bands of 95 and 68 % between edges, which `edge` gives by percentile."""
+    return [
+        Band(at, edge(level.low), edge(level.high), level.opacity, label=level.label)
+        for level in _LEVELS
+    ]
+
+
+def _sheet_view(prediction: Prediction, axes: Axes) -> None:
     """The sheet from above, thrown toward the right: right of the centre
     line is below."""
-    length = sheet.TEE + sheet.LINES["tee"]
-    half = sheet.WIDTH / 2
-    axes.add_patch(
-        Rectangle(
-            (0, -half), length, 2 * half, fc="#f6fafc", ec="0.55", lw=0.8, zorder=0
-        )
-    )
-    for tee in (sheet.LINES["tee"], sheet.TEE):
-        draw.plot_house(axes, (tee, 0.0))
-    axes.hlines(0, 0, length, **draw.LINE)
-    band = prediction.band
     series = prediction.series
-    _plot_bands(axes, band["y"], lambda level: band[f"x_{level}"], zorder=3)
-    for rows, style, _ in _measured_rows(prediction):
-        axes.plot(rows["y"], rows["x"], **style | {"zorder": 3.5, "markersize": 1.4})
-    axes.plot(series["y"], series["x"], color=draw.FIT_COLOR, lw=1, zorder=4)
-    _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
-    _stone(axes, (series["y"][-1], series["x"][-1]))
+    band = prediction.band
+    paths = []
+    for measured in _measured_of(prediction):
+        style = replace(measured.style, size=1.4, zorder=3.5)
+        paths.append(Series(measured.channels["y"], measured.channels["x"], style))
+    paths.append(Series(series["y"], series["x"], replace(LAW, width=1, zorder=4)))
     if prediction.other is not None:
         other = prediction.other.series
-        axes.plot(other["y"], other["x"], **_OTHER)
-        _stone(axes, (other["y"][-1], other["x"][-1]))
-    axes.set_xlim(
-        min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5
+        paths.append(Series(other["y"], other["x"], _OTHER))
+        _stone(axes, other["y"][-1], other["x"][-1])
+    start = float(series["y"][0])
+    end = float(series["y"][-1])
+    plot_on_sheet(
+        axes,
+        paths,
+        _bands(band["y"], lambda level: band[f"x_{level}"]),
+        ends=(min(start, 0.0) - 0.5, max(end, sheet.TEE + sheet.TEE_TO_HACK) + 0.5),
+        line_names=_LINE_NAMES,
     )
-    names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
-    draw.sheet_axes(axes, names, max(half, float(np.abs(series["x"]).max()) + 0.3))
-    axes.spines[:].set_visible(False)
+    _stone(axes, start, series["x"][0], hollow=True)
+    _stone(axes, end, series["x"][-1])
 
 
-def _plot_bands(
-    axes: Any, abscissa: Floats, edge: Callable[[str], Floats], **style: Any
-) -> None:
-    """Bands between edges, which `edge` gives by percentile."""
-    for low, high, alpha, label in _LEVELS:
-        axes.fill_between(
-            abscissa,
-            edge(low),
-            edge(high),
-            alpha=alpha,
-            color=draw.PREDICTION_COLOR,
-            lw=0,
-            label=label,
-            **style,
-        )
+def _stone(axes: Axes, across: float, up: float, *, hollow: bool = False) -> None:
+    """A stone with its centre at a point of the axes, in m."""
+    color = draw.FIT_COLOR
+    inside = "none" if hollow else color
+    axes.add_patch(
+        Circle((across, up), sheet.STONE_RADIUS, fc=inside, ec=color, lw=0.8, zorder=6)
+    )
 
 
-def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> None:
-    style: dict[str, Any] = {
-        "fc": "none" if hollow else draw.FIT_COLOR,
-        "ec": draw.FIT_COLOR,
-    }
-    axes.add_patch(Circle(position, sheet.STONE_RADIUS, lw=0.8, zorder=6, **style))
-
-
-def _resting_place(prediction: Prediction, axes: Any) -> None:
+def _resting_place(prediction: Prediction, axes: Axes) -> None:
     """The resting position, seen along the throw, in m from the tee."""
     half = sheet.WIDTH / 2
     series = prediction.series
-    x = series["x"][-1]
-    y = series["y"][-1] - sheet.TEE
-    centre, size = _interval(prediction, "2.5", "97.5")
-    reach = np.abs(centre - (x, y)) + 1.1 * size + 0.3
-    draw.plot_house(axes, (0.0, 0.0))
-    axes.axvline(0, **draw.LINE)
-    axes.hlines([0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK], -half, half, **draw.LINE)
-    axes.plot(series["x"], series["y"] - sheet.TEE, color=draw.FIT_COLOR, zorder=4)
     band = prediction.band
+    line = draw.SHEET_LINE.options()
+    plot_house(axes, (0.0, 0.0))
+    axes.axvline(0, **line)
+    axes.hlines([0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK], -half, half, **line)
+    beyond_tee = series["y"] - sheet.TEE
+    axes.plot(series["x"], beyond_tee, **replace(LAW, zorder=4).options())
     axes.fill_betweenx(
         band["y"] - sheet.TEE,
         band["x_2.5"],
@@ -141,37 +179,9 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
         lw=0,
         zorder=2,
     )
-    rest = prediction.rest
-    for first, last, alpha, _ in _LEVELS:
-        style = {"fc": draw.PREDICTION_COLOR, "alpha": alpha, "ec": "none", "zorder": 3}
-        _ellipse(axes, *_interval(prediction, first, last), rest["both"], **style)
-    if prediction.other is not None:
-        other = prediction.other
-        axes.plot(other.series["x"], other.series["y"] - sheet.TEE, **_OTHER)
-        _ellipse(
-            axes,
-            *_interval(other, "2.5", "97.5"),
-            other.rest["both"],
-            fc="none",
-            ec=_OTHER["color"],
-            lw=0.8,
-            zorder=5,
-            label=f"{other.call.turn}-turn",
-        )
-    parameter_sd = [prediction.quantities[name].parameter_sd for name in _REST]
-    _ellipse(
-        axes,
-        np.array([x, y]),
-        1.96 * np.array(parameter_sd),
-        rest["parameter"],
-        fc="none",
-        ec=draw.FIT_COLOR,
-        lw=0.8,
-        ls="--",
-        zorder=5,
-        label="95 %, parameter uncertainty only",
-    )
-    _stone(axes, (x, y), hollow=True)
+    _regions(prediction, axes)
+    rest = np.array([series["x"][-1], beyond_tee[-1]])
+    _stone(axes, rest[0], rest[1], hollow=True)
     if prediction.goal is not None:
         axes.plot(
             prediction.goal.x or 0.0,
@@ -182,21 +192,69 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
             mew=1.5,
             zorder=7,
         )
-    for rows, style, _ in _measured_rows(prediction):
-        axes.plot(rows["x"], rows["y"] - sheet.TEE, **style | {"zorder": 3.5})
+    for measured in _measured_of(prediction):
+        marks = replace(measured.style, zorder=3.5).options()
+        channels = measured.channels
+        axes.plot(channels["x"], channels["y"] - sheet.TEE, **marks)
     # the width of the sheet, and of its length the house and the ellipse
-    side = max(half, abs(x) + reach[0])
+    region = _region(prediction, _WIDE)
+    reach = np.abs(region.centre - rest) + 1.1 * region.size + 0.3
+    side = max(half, abs(rest[0]) + reach[0])
     edge = sheet.HOUSE + 0.5
-    bottom = min(-edge, y - reach[1])
-    top = min(max(edge, y + reach[1]), sheet.TEE_TO_HACK + 0.3)
+    bottom = min(-edge, rest[1] - reach[1])
+    top = min(max(edge, rest[1] + reach[1]), sheet.TEE_TO_HACK + 0.3)
     _equal_scales(axes, (-side, side), (bottom, top))
     axes.set(xlabel="right of the centre line (m)", ylabel="beyond the tee line (m)")
     axes.grid(visible=False)
-    draw.feet(axes)
+    add_feet(axes)
     draw.legend_above(axes)
 
 
-def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _regions(prediction: Prediction, axes: Axes) -> None:
+    """Ellipses of the resting position: with all errors, with those of the parameters
+    alone, and of the throw with the other turn."""
+    covariance = prediction.rest["both"]
+    for level in _LEVELS:
+        _ellipse(
+            axes,
+            _region(prediction, level),
+            covariance,
+            fc=draw.PREDICTION_COLOR,
+            alpha=level.opacity,
+            ec="none",
+            zorder=3,
+        )
+    other = prediction.other
+    if other is not None:
+        style = _OTHER.options()
+        axes.plot(other.series["x"], other.series["y"] - sheet.TEE, **style)
+        _ellipse(
+            axes,
+            _region(other, _WIDE),
+            other.rest["both"],
+            fc="none",
+            ec=_OTHER.color,
+            lw=0.8,
+            zorder=5,
+            label=f"{other.call.turn}-turn",
+        )
+    sd = np.array([prediction.quantities[name].parameter_sd for name in _REST])
+    series = prediction.series
+    best = np.array([series["x"][-1], series["y"][-1] - sheet.TEE])
+    _ellipse(
+        axes,
+        _Region(best, 1.96 * sd),
+        prediction.rest["parameter"],
+        fc="none",
+        ec=draw.FIT_COLOR,
+        lw=0.8,
+        ls="--",
+        zorder=5,
+        label="95 %, parameter uncertainty only",
+    )
+
+
+def _equal_scales(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Set limits that contain both intervals, at equal scales."""
     box = axes.get_window_extent()
     # twice the pixels of a metre
@@ -205,79 +263,85 @@ def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> 
     axes.set_ylim(np.mean(y) + np.array([-1, 1]) * box.height / scale)
 
 
-def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
-    """Centre and half width of an interval of the resting position, from the tee, m."""
+@dataclass(frozen=True)
+class _Region:
+    """Centre of a region of resting positions and half its width and height: x and y
+    from the tee, m."""
+
+    centre: Floats
+    size: Floats
+
+
+def _region(prediction: Prediction, level: _Level) -> _Region:
+    """The region between the percentiles of a level."""
     quantiles = [prediction.quantities[name].quantiles for name in _REST]
-    ends = np.array([[levels[low], levels[high]] for levels in quantiles])
-    return ends.mean(1), np.diff(ends)[:, 0] / 2
+    ends = np.array(
+        [[by_level[level.low], by_level[level.high]] for by_level in quantiles]
+    )
+    return _Region(ends.mean(1), np.diff(ends)[:, 0] / 2)
 
 
-def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -> None:
-    """Draw an ellipse of given half width and height, with the correlation of
-    a covariance."""
-    scale = size / np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+def _ellipse(axes: Axes, region: _Region, covariance: Any, **style: Any) -> None:
+    """Draw the ellipse that fills a region, with the correlation of a covariance,
+    shape (2, 2)."""
+    scale = region.size / np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     squares, vectors = np.linalg.eigh(covariance * np.outer(scale, scale))
     short, long = 2 * np.sqrt(np.maximum(squares, 0.0))
     angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
-    axes.add_patch(Ellipse(centre, long, short, angle=angle, **style))
+    x, y = region.centre.tolist()
+    axes.add_patch(Ellipse((x, y), long, short, angle=angle, **style))
 
 
-def _measured_rows(prediction: Prediction) -> list[tuple[Any, dict[str, Any], str]]:
-    """Measured rows on the sheet, fitted and not fitted: rows, style and label."""
-    label = "data, fitted" if prediction.of == "fitted" else "data of the fitted throw"
-    sources: list[Any] = [(prediction.measured, draw.DATA_STYLE, label)]
-    if prediction.check is not None:
-        later = prediction.check.observed
-        sources.append((later, draw.LATER_STYLE, "data, not fitted"))
-    return [source for source in sources if {"x", "y"} <= source[0].keys()]
-
-
-def _cross_track(prediction: Prediction, axes: Any) -> None:
+def _cross_track(prediction: Prediction, axes: Axes) -> None:
     """x along the sheet: right of the centre line is below, as on the sheet above."""
     band = prediction.band
     y = band["y"] - sheet.TEE
-    _plot_bands(axes, y, lambda level: band[f"x_{level}"])
-    for rows, style, label in _measured_rows(prediction):
-        axes.plot(rows["y"] - sheet.TEE, rows["x"], **style, label=label)
-    axes.plot(y, band["x"], color=draw.FIT_COLOR, label="law")
-    draw.x_along_y(axes, "along the sheet, from the far tee (m)")
+    paths = []
+    for measured in _measured_of(prediction):
+        from_tee = measured.channels["y"] - sheet.TEE
+        x = measured.channels["x"]
+        paths.append(Series(from_tee, x, measured.style, measured.label))
+    paths.append(Series(y, band["x"], LAW, "law"))
+    bands = _bands(y, lambda level: band[f"x_{level}"])
+    plot_path(axes, paths, bands, "along the sheet, from the far tee (m)")
     draw.legend_above(axes, ncols=3)
-    axes.margins(x=0.02)
 
 
-def _rate(prediction: Prediction, axes: Any, name: str) -> None:
+def _rate(prediction: Prediction, axes: Axes, rate: str) -> None:
     """Speed or spin, with those measured, directly or as slopes of the
     measured path."""
     series = prediction.series
-    for rows, style, _ in _measured_rows(prediction):
-        draw.plot_rate(axes, rows, name, style)
-    axes.plot(series["t"], series[name], color=draw.FIT_COLOR)
-    axes.axhline(0, **draw.ZERO_LINE)  # which the scale then includes
-    axes.set(xlabel="t (s)", ylabel=draw.RATE_LABEL[name])
+    measured = [
+        measured_rate(part.channels, rate, part.style)
+        for part in _measured_of(prediction)
+    ]
+    plot_rate(axes, rate, measured, [Series(series["t"], series[rate], LAW)])
     axes.set_xlim(0, 1.05 * prediction.quantities["time"].value)
 
 
-def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
+def _residuals(
+    predicted: Mapping[str, Floats], check: HeldOut, axes: Axes, channel: str
+) -> None:
     """Measured minus predicted, with the bands of the path (without
     measurement noise)."""
-    assert prediction.check is not None
-    factor, unit = _UNITS[name]
-    series = prediction.series
-    t = series["t"]
-    measured = prediction.check.observed
-    measured_t = measured["t"]
+    factor, unit = _UNITS[channel]
+    t = predicted["t"]
+    path = predicted[channel]
+    measured_t = check.observed["t"]
+    off = check.observed[channel] - np.interp(measured_t, t, path)
     step = t[1] - t[0]
     shown = (t >= measured_t[0] - 1) & (t <= measured_t[-1] + step)
-    _plot_bands(
+    plot_residuals(
         axes,
-        t[shown],
-        lambda level: factor * (series[f"{name}_{level}"] - series[name])[shown],
+        [Series(measured_t, factor * off, draw.LATER_DATA)],
+        _bands(
+            t[shown],
+            lambda level: factor * (predicted[f"{channel}_{level}"] - path)[shown],
+        ),
+        label=unit,
     )
-    axes.axhline(0, **draw.ZERO_LINE)
-    predicted = np.interp(measured_t, t, series[name])
-    axes.plot(measured_t, factor * (measured[name] - predicted), **draw.LATER_STYLE)
-    axes.set(xlabel="t (s)", ylabel=unit)
     axes.set_title(
-        f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted", loc="center"
+        f"${draw.CHANNEL_LABEL[channel]}$, measured \N{MINUS SIGN} predicted",
+        loc="center",
     )
     axes.margins(x=0.02)

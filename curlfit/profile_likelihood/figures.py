@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.patches import Patch
 
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
+from curlfit.output.figures import Style
+from curlfit.output.panels import Series, plot
 from curlfit.output.ticks import neat_axis
 from curlfit.profile_likelihood.result import PairProfile, Profile, ProfileVerdict
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import XAxis, YAxis
 
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH = 10.0  # upper end of the axis, of a limited profile
 _LOW = 5.5  # upper end of the axis, of any other
+_COVARIANCE = Style(draw.COVARIANCE_COLOR, "--", width=1.4, zorder=4)
+_ELLIPSE = Style(draw.COVARIANCE_COLOR, "--", width=1.3, zorder=5)
+_PROFILE = Style(draw.FIT_COLOR, width=1.5, marker=".", zorder=3)
+_POSTERIOR = Style(draw.POSTERIOR_COLOR, "none", width=0.9, marker="o", size=3)
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
 
 
@@ -27,28 +40,29 @@ def profile_figure(profile: Profile | PairProfile) -> draw.Picture:
     --------
     >>> curlfit.profile_figure(profile).savefig("profile.png")
     """
-    return (
-        _single_figure(profile)
-        if isinstance(profile, Profile)
-        else _pair_figure(profile)
-    )
+    if isinstance(profile, PairProfile):
+        return _pair_figure(profile)
+    return _single_figure(profile)
 
 
 def _single_figure(profile: Profile) -> draw.Picture:
-    figure, (above, below) = draw.panels(
+    """Chi squared along one parameter, and below it the response of the others."""
+    figure, (above, below) = draw.subplots(
         5.6, 2, 1, sharex=True, height_ratios=(1.6, 1.0)
     )
     _chi_squared(profile, above)
-    _others(profile, below)
+    _others(profile, below, figure)
     draw.title(above, draw.heading_of(profile))
-    label = _label(profile.estimate, profile.name)
-    neat_axis(below.xaxis, *label)  # for which the layout leaves space
+    # once so that the layout leaves space for the label, and again by the final width
+    _label(below.xaxis, profile.estimate, profile.name)
     figure.draw_without_rendering()
-    neat_axis(below.xaxis, *label)  # by the final width
+    _label(below.xaxis, profile.estimate, profile.name)
     return figure
 
 
-def _chi_squared(profile: Profile, axes: Any) -> None:
+def _chi_squared(profile: Profile, axes: Axes) -> None:
+    """Chi squared along the parameter, with the parabola of its standard error and the
+    density of the posterior on the same scale."""
     limited = profile.verdict == ProfileVerdict.LIMITED
     top = _HIGH if limited else _LOW
     at = profile.at
@@ -73,25 +87,28 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     if estimate.stderr is not None:
         fine = np.linspace(at[0], at[-1], 400)
         parabola = ((fine - estimate.value) / estimate.stderr) ** 2
-        style = {"color": draw.COVARIANCE_COLOR, "lw": 1.4, "zorder": 4}
-        axes.plot(fine, parabola, "--", label="covariance", **style)
-    style = {"color": draw.FIT_COLOR, "zorder": 3}
-    axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
+        plot(axes, Series(fine, parabola, _COVARIANCE, "covariance"))
+    plot(axes, Series(at, profile.delta, _PROFILE, "profile"))
     if posterior is not None:
-        axes.errorbar(
-            posterior.at,
-            posterior.height,
-            posterior.error,
-            fmt="o",
-            color=draw.POSTERIOR_COLOR,
-            markersize=3,
-            lw=0.9,
-            label=r"posterior, $-2\,\ln$ density",
-            zorder=2,
+        density = Series(
+            posterior["at"],
+            posterior["height"],
+            _POSTERIOR,
+            r"posterior, $-2\,\ln$ density",
+            sigma=posterior["error"],
         )
-    style = {"color": draw.FIT_COLOR, "markersize": 5, "zorder": 5}
-    axes.plot(profile.best, 0, "v", clip_on=False, mec="white", **style)
-    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(-0.04 * top, top))
+        plot(axes, density)
+    axes.plot(
+        profile.best,
+        0,
+        "v",
+        color=draw.FIT_COLOR,
+        markersize=5,
+        mec="white",
+        clip_on=False,
+        zorder=5,
+    )
+    axes.set(xlim=_widened(at, 0.02), ylim=(-0.04 * top, top))
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
     axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
@@ -100,18 +117,21 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         draw.note(axes, 0.04, 0.93, note, color=draw.FIT_COLOR)
 
 
-def _widened(low: float, high: float, share: float) -> tuple[float, float]:
-    """Limits of an axis, beyond a range by a share of it."""
-    margin = share * float(high - low)
-    return float(low) - margin, float(high) + margin
+def _widened(values: Floats, share: float) -> tuple[float, float]:
+    """Limits of an axis, beyond the range of values by a share of it."""
+    low = float(values.min())
+    high = float(values.max())
+    margin = share * (high - low)
+    return low - margin, high + margin
 
 
 def _rise(profile: Profile) -> str:
+    """How little chi squared rises within the range that the data leave free."""
     digits = 1 if profile.rise < 1e-3 else 2
     return rf"$\Delta\chi^2 \leq$ {profile.rise:.{digits}g}"
 
 
-def _others(profile: Profile, axes: Any) -> None:
+def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
     """Changes of the other parameters in standard errors; where one has none, its
     values, on an axis at the right."""
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
@@ -134,18 +154,19 @@ def _others(profile: Profile, axes: Any) -> None:
     symbols = {
         name: draw.symbol_of(profile.parameters[name]) for name in profile.others
     }
-    axes.axhline(0, **draw.ZERO_LINE)
-    lines: list[Any] = []
+    axes.axhline(0, **draw.ZERO_LINE.options())
     for name, style in zip(changes, draw.line_styles(len(changes)), strict=True):
-        lines += axes.plot(at, changes[name], label=symbols[name], **style)
+        plot(axes, Series(at, changes[name], style, symbols[name]))
+    handles: list[Artist] = axes.get_legend_handles_labels()[0]
     axes.set_ylabel("change of other parameters\n(standard errors of each)")
     if values:
         right = axes.twinx()
         right.grid(visible=False)
         right.spines["right"].set_visible(True)
         for name, style in zip(values, draw.line_styles(len(values)), strict=True):
-            style |= {"color": "0.15", "lw": 1.8, "label": f"{symbols[name]} (right)"}
-            lines += right.plot(at, values[name], **style)
+            style = replace(style, color="0.15", width=1.8)
+            plot(right, Series(at, values[name], style, f"{symbols[name]} (right)"))
+        handles += right.get_legend_handles_labels()[0]
         units = {profile.parameters[name].unit for name in values} - {"", "1"}
         unit = f" ({', '.join(sorted(units))})" if units else ""
         right.set_ylabel(", ".join(symbols[name] for name in values) + unit)
@@ -155,35 +176,34 @@ def _others(profile: Profile, axes: Any) -> None:
         which = "others" if values else "parameters"
         note = f"none of the {which} changes by more than {_MOVES:g} standard errors"
         draw.note(axes, 0.02, 0.05, note)
-    if lines:
-        axes.get_figure().legend(
-            handles=lines,
+    if handles:
+        figure.legend(
+            handles=handles,
             loc="outside lower center",
-            ncols=min(len(lines), 9),
+            ncols=min(len(handles), 9),
             title="the other parameters, refitted",
         )
 
 
-def _label(estimate: Estimate, name: str) -> tuple[str, str]:
-    """Label and unit of an axis."""
+def _label(axis: XAxis | YAxis, estimate: Estimate, name: str) -> None:
+    """Label an axis by the symbol, name and unit of a parameter, and set its ticks."""
+    label = f"{draw.symbol_of(estimate)}, {name}"
     # a parameter without a symbol of its own is set in upright letters
     if estimate.symbol in (name, rf"\mathrm{{{name}}}"):
-        return name, estimate.unit
-    return f"{draw.symbol_of(estimate)}, {name}", estimate.unit
+        label = name
+    neat_axis(axis, label, estimate.unit)
 
 
 def _pair_figure(profile: PairProfile) -> draw.Picture:
-    figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
+    """Regions of two parameters, with a legend and what is determined of them."""
+    figure, axes = draw.subplots(4.2, 1, 1, 0.72 * draw.WIDTH)
     along = profile.each[0]
     finite = np.isfinite(profile.delta)
     lowest = float(profile.delta[finite].min(initial=np.inf))
     near = finite & (profile.delta < max(_HIGH, 2 * lowest))
     _regions(profile, axes)
-    for values, set_limits in (
-        (profile.first, axes.set_xlim),
-        (profile.second, axes.set_ylim),
-    ):
-        set_limits(_widened(values[near].min(), values[near].max(), 0.04))
+    axes.set_xlim(_widened(profile.first[near], 0.04))
+    axes.set_ylim(_widened(profile.second[near], 0.04))
     draw.title(axes, draw.heading_of(along), margin=0.5)
     handles = [
         Patch(facecolor=color, edgecolor=draw.FIT_COLOR, label=level.name)
@@ -193,18 +213,18 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     if along.verdict.is_valley:
         notes = [f"along the valley {_rise(along)}"]
         for combination in along.combinations:
-            sum_ = draw.weighted_sum(combination.weights, profile.parameters)
-            notes.append(f"only ${sum_}$ is determined")
+            symbols = draw.weighted_sum(combination.weights, profile.parameters)
+            notes.append(f"only ${symbols}$ is determined")
         # in the corner that the valley leaves free
         falls = profile.valley[-1] < profile.valley[0]
         draw.note(axes, 0.95 if falls else 0.05, 0.95, "\n".join(notes), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
     for axis, name in zip((axes.xaxis, axes.yaxis), profile.names, strict=True):
-        neat_axis(axis, *_label(profile.parameters[name], name))
+        _label(axis, profile.parameters[name], name)
     return figure
 
 
-def _regions(profile: PairProfile, axes: Any) -> None:
+def _regions(profile: PairProfile, axes: Axes) -> None:
     """Regions, ellipse, samples and valley."""
     surface = (profile.first, profile.second, np.ma.masked_invalid(profile.delta))
     edges = [level.delta_chi2_pair for level in profile.levels]
@@ -214,31 +234,29 @@ def _regions(profile: PairProfile, axes: Any) -> None:
             *surface, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3
         )
     if len(profile.samples):
-        style: dict[str, Any] = {
-            "color": draw.POSTERIOR_COLOR,
-            "markersize": 2.6,
-            "mew": 0,
-        }
         axes.plot(
             *profile.samples.T,
             ".",
+            color=draw.POSTERIOR_COLOR,
+            markersize=2.6,
+            mew=0,
             rasterized=True,
             label="posterior",
-            zorder=2,
-            **style,
         )
     refitted = f"{draw.symbol_of(profile.parameters[profile.names[1]])} refitted"
-    style = {"color": draw.FIT_COLOR, "lw": 1.2, "zorder": 4}
-    axes.plot(profile.each[0].at, profile.valley, "-.", label=refitted, **style)
+    valley = Style(draw.FIT_COLOR, "-.", zorder=4)
+    plot(axes, Series(profile.each[0].at, profile.valley, valley, refitted))
     best = np.array(profile.best)
     if profile.covariance is not None:
         angle = np.linspace(0, 2 * np.pi, 361)
-        circle = np.linalg.cholesky(profile.covariance) @ [np.cos(angle), np.sin(angle)]
-        style = {"color": draw.COVARIANCE_COLOR, "lw": 1.3, "zorder": 5}
+        # the ellipse on which chi squared is larger by 1 than at the optimum
+        ellipse = np.linalg.cholesky(profile.covariance) @ [
+            np.cos(angle),
+            np.sin(angle),
+        ]
         for edge, label in zip(
-            edges, ("68 %, 95 % of the covariance", None), strict=True
+            edges, ("68 %, 95 % of the covariance", ""), strict=True
         ):
-            axes.plot(
-                *(best[:, None] + np.sqrt(edge) * circle), "--", label=label, **style
-            )
+            across, up = best[:, None] + np.sqrt(edge) * ellipse
+            plot(axes, Series(across, up, _ELLIPSE, label))
     axes.plot(*best, "+", color="black", markersize=7, mew=1.2, zorder=6)

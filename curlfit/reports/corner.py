@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
 from curlfit.wording import format_estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # inches: around the panels, between them, and the least side of a panel
 _LEFT = 0.8
@@ -179,7 +182,7 @@ def _of_joint(result: JointResult, chain: Chain) -> _Content:
     )
 
 
-def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
+def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Axes]]:
     """The figure, and its panels by row and column, of which those of a parameter share
     its axis.
 
@@ -208,7 +211,7 @@ def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
         bottom=_BOTTOM / height,
         top=1 - _TOP / height,
     )
-    panels: dict[tuple[int, int], Any] = {}
+    panels: dict[tuple[int, int], Axes] = {}
     for row in range(number):
         for column in range(row + 1):
             panels[row, column] = figure.add_subplot(
@@ -251,7 +254,7 @@ def _limits(values: Floats, reference: float | None) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
+def _histogram(axes: Axes, verdict: Verdict, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
     counts, *_ = axes.hist(
         values,
@@ -263,16 +266,10 @@ def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
         lw=1,
     )
     low, median, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()
-    axes.vlines(
-        [low, median, high],
-        0,
-        1,
-        transform=axes.get_xaxis_transform(),
-        colors="black",
-        linestyles=["--", "-", "--"],
-        lw=0.7,
-    )
-    axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
+    axes.axvline(median, color="black", lw=0.7)
+    for end in (low, high):
+        axes.axvline(end, color="black", ls="--", lw=0.7)
+    axes.set(ylim=(0, 1.1 * np.max(counts)), yticks=[])
     title = f"{low:.3g} .. {high:.3g}"
     if verdict == Verdict.NOT_IDENTIFIABLE:
         title = verdict
@@ -285,7 +282,7 @@ def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
     draw.shrink(text, axes.get_window_extent().width)
 
 
-def _density(axes: Any, samples: Floats) -> None:
+def _density(axes: Axes, samples: Floats) -> None:
     """Smallest regions that contain 68 and 95 % of the samples, shape (2, samples).
 
     The samples are counted in bins, and the counts smoothed by a Gaussian. A region is
@@ -331,7 +328,7 @@ def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], _Ridge]:
 
 
 def _draw_ridge(
-    axes: Any, ridge: _Ridge, weights: tuple[float, float], samples: Floats
+    axes: Axes, ridge: _Ridge, weights: tuple[float, float], samples: Floats
 ) -> None:
     """Draw a pair of which only a combination is determined, as points along a line;
     weights of the parameters across and up, samples of shape (2, samples)."""
@@ -356,7 +353,7 @@ def _draw_ridge(
         axes.plot(ends, line, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _neat_axes(label: _Label, below: Any, beside: Any, has_row: bool) -> None:
+def _neat_axes(label: _Label, below: Axes, beside: Axes, has_row: bool) -> None:
     """Set the same few ticks in all panels of a parameter, and label the outermost: the
     lowest of its column and the leftmost of its row."""
     neat_axis(below.xaxis, label.text, label.unit, neighbours=True)
@@ -364,12 +361,12 @@ def _neat_axes(label: _Label, below: Any, beside: Any, has_row: bool) -> None:
         neat_axis(beside.yaxis, label.text, label.unit, neighbours=True)
     # labels of all panels in line, at fixed distances in inches
     size = below.get_window_extent()
-    dpi = below.get_figure().dpi
+    dpi = below.figure.dpi
     below.xaxis.set_label_coords(0.5, -0.24 * dpi / size.height)
     beside.yaxis.set_label_coords(-0.42 * dpi / size.width, 0.5)
 
 
-def _mark(line: Callable[..., Any], value: float | None) -> None:
+def _mark(line: Callable[..., object], value: float | None) -> None:
     """Mark a reference value, if there is one."""
     if value is not None:
         line(value, color=draw.REFERENCE_COLOR, lw=1)

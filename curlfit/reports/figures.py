@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -17,25 +18,42 @@ from curlfit.inference.joint.effects import Effect
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
+from curlfit.output.figures import Style
+from curlfit.output.panels import (
+    ERROR_BARS,
+    LAW,
+    OUTLIERS,
+    RESIDUALS,
+    Interval,
+    Row,
+    RowValue,
+    Series,
+    measured_rate,
+    note_stretch,
+    plot,
+    plot_on_sheet,
+    plot_path,
+    plot_rate,
+    plot_residuals,
+    plot_rows,
+    plot_value,
+)
 from curlfit.output.ticks import neat_axis, unit_for
 from curlfit.throws.events import Event
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
 
 _IN_A_ROW = 3  # panels of residuals, at most
 _PANEL = 3.32 / 3.15  # height of a panel, inches
 _GAP = 0.68  # and of what is below it
 
-_LINE = draw.LINE | {"lw": 0.8}
-_POOLED: dict[str, Any] = {"marker": "D", "ms": 4.5, "mfc": "w"}
-_MEASURED: dict[str, Any] = {
-    "color": "0.25",
-    "fmt": "o",
-    "markersize": 3,
-    "capsize": 2,
-    "lw": 1,
-    "zorder": 5,
-}
+_POOLED = Style("black", "none", marker="D", size=4.5, fill="white", zorder=3)
+"""of estimates from all throws"""
 _NAMES = {"back": "back", "hog": "hog", "far-hog": "hog", "far-tee": "tee"}
 _MOST = 5.0  # sigmas, largest residual shown
+_POINTS_OF_A_THROW = 400  # most drawn of each path among others
 
 Events = list[tuple[Event, float]]
 """Timed events, each with its fitted value."""
@@ -65,11 +83,11 @@ def fit_figure(fit: FitResult) -> draw.Picture:
     tall = 1.15 * _PANEL
     tops = 0.3 + tall + _GAP + (_PANEL + _GAP) * np.arange(len(rows) + 1)
     figure = draw.Picture(figsize=(draw.WIDTH, tops[-1] + _PANEL + 0.42))
-    (path,) = draw.row(figure, 0.3, tall, right=0.5)
-    residuals: list[Any] = []
+    (path,) = draw.side_by_side(figure, 0.3, tall, right=0.5)
+    residuals: list[Axes] = []
     for top, in_row in zip(tops, rows, strict=False):
-        residuals += draw.row(figure, top, _PANEL, len(in_row))
-    speed, spin = draw.row(figure, tops[-1], _PANEL, 2)
+        residuals += draw.side_by_side(figure, top, _PANEL, len(in_row))
+    speed, spin = draw.side_by_side(figure, tops[-1], _PANEL, 2)
     _path(path, fit)
     for axes, channel in zip(residuals, channels, strict=True):
         _residuals(axes, fit, channel)
@@ -79,108 +97,98 @@ def fit_figure(fit: FitResult) -> draw.Picture:
     return figure
 
 
-def _rate(axes: Any, fit: FitResult, channel: str) -> None:
-    """The speed or the spin over time; the axis begins or ends at zero where the fit
-    has one sign."""
-    draw.plot_rate(axes, fit.observed, channel)
-    draw.legend_above(axes)
-    _plot_law(axes, fit, "t", channel)
-    low = np.min(fit.fitted[channel])
-    high = np.max(fit.fitted[channel])
-    axes.set_ylim(0 if low >= 0 else None, 0 if high <= 0 <= -low else None)
+@dataclass(frozen=True)
+class _Curve:
+    """Channels of a curve over the times of a fit, its style and label."""
+
+    channels: Mapping[str, Floats]
+    style: Style
+    label: str
 
 
-def _path(axes: Any, fit: FitResult) -> None:
+def _curves(fit: FitResult) -> list[_Curve]:
+    """The law, or it with the discrepancy, and the law alone, dashed."""
+    if not fit.discrepancy:
+        return [_Curve(fit.fitted, LAW, f"{draw.literal(fit.law)} law")]
+    dashed = replace(LAW, dashes="--", width=0.9)
+    return [
+        _Curve(fit.predicted, LAW, "law and discrepancy"),
+        _Curve(fit.fitted, dashed, "law alone"),
+    ]
+
+
+def _path(axes: Axes, fit: FitResult) -> None:
     """The path as measured and as fitted, seen from above."""
-    rows = draw.some_rows(len(fit.observed["t"]))
     unmeasured = [
         channel
         for channel in ("x", "y")
         if not np.isfinite(fit.observed[channel]).any()
     ]
+    paths = []
     if unmeasured:
         draw.note(axes, 0.99, 0.05, f"{' and '.join(unmeasured)} not measured")
     else:
-        x = fit.observed["x"][rows]
-        y = fit.observed["y"][rows]
-        axes.plot(y, x, **draw.DATA_STYLE, label="data")
-    _plot_law(axes, fit, "y", "x")
-    axes.margins(x=0.02, y=0.12)
-    draw.x_along_y(axes)
+        paths = [Series(fit.observed["y"], fit.observed["x"], draw.DATA, "data")]
+    for curve in _curves(fit):
+        y = curve.channels["y"]
+        paths.append(Series(y, curve.channels["x"], curve.style, curve.label))
+    plot_path(axes, paths)
     draw.legend_above(axes)
     draw.title(axes, draw.heading_of(fit), margin=3.4 if fit.discrepancy else 2.7)
-    draw.note_stretch(axes)
+    note_stretch(axes)
 
 
-def _plot_law(axes: Any, fit: FitResult, across: str, up: str) -> None:
-    """Plot the law, or it with the discrepancy, and the law alone dashed; `across` and
-    `up` are channels, or "t", over which the curves have no label."""
-    curves: list[tuple[str, Any, dict[str, Any]]]
-    curves = [(f"{draw.literal(fit.law)} law", fit.fitted, {})]
-    if fit.discrepancy:
-        dashed = {"ls": "--", "lw": 0.9}
-        curves = [
-            ("law and discrepancy", fit.predicted, {}),
-            ("law alone", fit.fitted, dashed),
-        ]
-    for label, series, style in curves:
-        if across == "t":
-            axes.plot(fit.observed["t"], series[up], color=draw.FIT_COLOR, **style)
-        else:
-            style = style | {"color": draw.FIT_COLOR, "label": label}
-            axes.plot(series[across], series[up], **style)
-
-
-def _residuals(axes: Any, fit: FitResult, channel: str) -> None:
-    """Residuals of a channel over time."""
+def _residuals(axes: Axes, fit: FitResult, channel: str) -> None:
+    """Residuals of a channel over time, in a unit that suits their size, and which of
+    them were taken for outliers."""
     t = fit.observed["t"]
     residuals = fit.observed[channel] - fit.predicted[channel]
     rms = fit.rms[channel]
+    label = "residual"
     if fit.discrepancy:
         rms = float(np.sqrt(np.nanmean(residuals**2)))
+        label = "residual of both"
     size, unit = unit_for(rms, channel)
-    rows = draw.some_rows(len(t))
-    axes.axhline(0, **draw.ZERO_LINE)
-    axes.plot(t[rows], residuals[rows] / size, **draw.DATA_STYLE | {"color": "0.25"})
-    _mark_outliers(axes, fit, channel, residuals, size)
+    outliers = _outliers(fit, channel, size)
+    plot_residuals(
+        axes,
+        [Series(t, residuals / size, RESIDUALS)],
+        outliers=outliers,
+        label=f"{label} ({unit})",
+    )
+    if outliers is not None:
+        axes.legend(
+            loc="upper left",
+            handletextpad=0.1,
+            borderpad=0.1,
+            frameon=True,
+            framealpha=0.8,
+            edgecolor="none",
+        )
     title = f"${draw.CHANNEL_LABEL[channel]}$: rms {rms / size:.3g} {unit}"
     draw.title(axes, title, columns=_IN_A_ROW, margin=0.7, loc="center")
-    both = " of both" if fit.discrepancy else ""
-    axes.set(xlabel="t (s)", ylabel=f"residual{both} ({unit})")
 
 
-def _mark_outliers(
-    axes: Any, fit: FitResult, channel: str, residuals: Floats, size: float
-) -> None:
-    """Mark outliers; distant ones are drawn at the edge so that the rest
-    stays readable. Residuals are in SI, `size` is the unit of the axes."""
-    outliers = [outlier for outlier in fit.outliers if outlier.channel == channel]
+def _outliers(fit: FitResult, channel: str, size: float) -> Series | None:
+    """The residuals of the outliers of a channel in a unit, whose size is in SI; None
+    if there are none."""
+    outliers = [outlier for outlier in fit.outliers if outlier["channel"] == channel]
     if not outliers:
-        return
-    times = np.array([outlier.t for outlier in outliers])
-    off = np.array([outlier.off for outlier in outliers])
+        return None
+    t = np.array([outlier["t"] for outlier in outliers])
+    off = np.array([outlier["off"] for outlier in outliers])
     if fit.discrepancy:
-        off = off - np.interp(times, fit.observed["t"], fit.discrepancy[channel])
-    edge = float(np.nanquantile(np.abs(residuals), 0.9)) * 2.5 / size
-    axes.set_ylim(-edge, edge)
-    axes.plot(
-        times,
-        np.clip(off / size, -0.97 * edge, 0.97 * edge),
-        "x",
-        color="black",
-        markersize=4.5,
-        mew=0.9,
-        clip_on=False,
-        label=counted(len(outliers), "outlier"),
-    )
-    axes.legend(
-        loc="upper left",
-        handletextpad=0.1,
-        borderpad=0.1,
-        frameon=True,
-        framealpha=0.8,
-        edgecolor="none",
-    )
+        off = off - np.interp(t, fit.observed["t"], fit.discrepancy[channel])
+    label = counted(len(outliers), "outlier")
+    return Series(t, off / size, OUTLIERS, label)
+
+
+def _rate(axes: Axes, fit: FitResult, rate: str) -> None:
+    """The speed or the spin over time."""
+    t = fit.observed["t"]
+    curves = [Series(t, curve.channels[rate], curve.style) for curve in _curves(fit)]
+    plot_rate(axes, rate, [measured_rate(fit.observed, rate)], curves)
+    draw.legend_above(axes)
 
 
 @draw.style()
@@ -214,11 +222,11 @@ def joint_figure(result: JointResult) -> draw.Picture:
         group: draw.PALETTE[index % len(draw.PALETTE)]
         for index, group in enumerate(groups)
     }
-    styles = [{"color": color_by_group[group]} for group in group_by_throw]
+    styles = [Style(color_by_group[group]) for group in group_by_throw]
     if has_paths and len(groups) == 1:
         styles = draw.line_styles(count)
 
-    handles = []
+    handles: list[Artist] = []
     if has_paths:
         path = figure.add_subplot(rows[0])
         _paths(path, result, styles)
@@ -230,13 +238,12 @@ def joint_figure(result: JointResult) -> draw.Picture:
     if result.variation:
         across = rows[-1].subgridspec(1, len(result.variation), wspace=0.05)
         panels = across.subplots(sharey=True, squeeze=False)[0]
-        files = [draw.file_name(throw.data.file) for throw in result.throws]
-        panels[0].set_yticks(range(count), files)
-        panels[0].set_ylim(count - 0.4, -0.6)
         handles += _handles(result, color_by_group)
     figure.legend(handles=handles, loc="outside lower center", ncols=legend_columns + 1)
     for axes, variation in zip(panels, result.variation, strict=True):
-        _estimates(axes, result, variation, styles)
+        plot_rows(
+            axes, _estimates(result, variation, styles), _common(result, variation)
+        )
         title = "differs" if variation.significant else "no significant difference"
         if result.differences:
             title += " beside groups"
@@ -244,17 +251,19 @@ def joint_figure(result: JointResult) -> draw.Picture:
         draw.title(axes, title, columns=len(panels), margin=0.25)
     _label(figure, panels, result, result.throws[0].parameters)
     if has_paths:
-        draw.note_stretch(path)
+        note_stretch(path)
     return figure
 
 
-def _handles(result: JointResult, color_by_group: Mapping[str, str]) -> list[Any]:
+def _handles(result: JointResult, color_by_group: Mapping[str, str]) -> list[Artist]:
     """Handles of a legend that says what the estimates in a joint figure are."""
     label = "expected of the throw" if result.means else "mean, with its standard error"
-    handles: list[Any] = [Patch(color=draw.DATA_COLOR, alpha=0.35, lw=0, label=label)]
+    handles: list[Artist] = [
+        Patch(color=draw.DATA_COLOR, alpha=0.35, lw=0, label=label)
+    ]
     if result.means:
         alone = Line2D([], [], color="k", marker="o", ms=3, label="alone")
-        pooled = Line2D([], [], color="k", ls="", label="with all throws", **_POOLED)
+        pooled = Line2D([], [], label="with all throws", **_POOLED.options())
         handles += [alone, pooled]
     if len(color_by_group) > 1:
         handles += [
@@ -265,7 +274,7 @@ def _handles(result: JointResult, color_by_group: Mapping[str, str]) -> list[Any
 
 def _label(
     figure: draw.Picture,
-    panels: Any,
+    panels: Sequence[Axes],
     result: JointResult,
     parameters: Mapping[str, Estimate],
 ) -> None:
@@ -282,7 +291,7 @@ def _season(result: JointResult) -> draw.Picture:
     figure = draw.Picture(figsize=(draw.WIDTH, 2.6), layout="constrained")
     figure.suptitle(f"{draw.law_and_load(result)}: {result.count} throws")
     panels: Any = figure.subplots(1, len(result.variation), squeeze=False)[0]
-    handle_by_label: dict[str, Any] = {}
+    handle_by_label: dict[str, Artist] = {}
     for axes, variation in zip(panels, result.variation, strict=True):
         means = [
             effect
@@ -304,7 +313,7 @@ def _season(result: JointResult) -> draw.Picture:
     return figure
 
 
-def _histogram(axes: Any, variation: Variation, means: Sequence[Effect]) -> None:
+def _histogram(axes: Axes, variation: Variation, means: Sequence[Effect]) -> None:
     """Histogram of a coefficient of the throws, each alone, with means of groups one
     above the other on top of it."""
     values = np.array([alone[0] for alone in variation.each if alone is not None])
@@ -313,38 +322,38 @@ def _histogram(axes: Any, variation: Variation, means: Sequence[Effect]) -> None
     margin = 0.2 * (high - low)
     bins = np.linspace(low - margin, high + margin, min(40, 8 + len(values) // 20))
     axes.hist(
-        values, bins, color=draw.DATA_COLOR, alpha=0.35, label="throws, each alone"
+        values,
+        bins.tolist(),
+        color=draw.DATA_COLOR,
+        alpha=0.35,
+        label="throws, each alone",
     )
     top = axes.get_ylim()[1]
     for row, mean in enumerate(means):
-        axes.errorbar(
+        color = draw.PALETTE[row % len(draw.PALETTE)]
+        value = RowValue(
             mean.value,
-            top * (1.06 + 0.1 * row),
-            xerr=mean.stderr,
-            fmt="o",
-            ms=4,
-            capsize=2,
-            label=f"{mean.by} {mean.group}".strip() or "mean",
-            color=draw.PALETTE[row % len(draw.PALETTE)],
+            Style(color, "none", marker="o", size=4, cap=2),
+            mean.stderr,
+            f"{mean.by} {mean.group}".strip() or "mean",
         )
+        plot_value(axes, top * (1.06 + 0.1 * row), value)
     axes.set(ylim=(0, top * (1.12 + 0.1 * len(means))), yticks=[])
 
 
-def _paths(axes: Any, result: JointResult, styles: list[dict[str, Any]]) -> None:
+def _paths(axes: Axes, result: JointResult, styles: Sequence[Style]) -> None:
     """The paths of all throws as measured and as fitted, seen from above."""
+    paths = []
     for throw, style in zip(result.throws, styles, strict=True):
-        rows = draw.some_rows(len(throw.observed["t"]), 400)
+        rows = draw.some_rows(len(throw.observed["t"]), _POINTS_OF_A_THROW)
         x = throw.observed["x"][rows]
         y = throw.observed["y"][rows]
-        axes.plot(y, x, **draw.DATA_STYLE | {"color": style["color"]})
-        axes.plot(
-            throw.predicted["y"],
-            throw.predicted["x"],
-            **style,
-            lw=1,
-            label=draw.file_name(throw.data.file),
-        )
-    draw.x_along_y(axes)
+        marks = replace(draw.DATA, color=style.color)
+        line = replace(style, width=1)
+        file = draw.file_name(throw.data["file"])
+        paths.append(Series(y, x, marks))
+        paths.append(Series(throw.predicted["y"], throw.predicted["x"], line, file))
+    plot_path(axes, paths)
 
 
 def _group(result: JointResult, throw: FitResult) -> str:
@@ -356,38 +365,43 @@ def _group(result: JointResult, throw: FitResult) -> str:
 
 
 def _estimates(
-    axes: Any, result: JointResult, variation: Variation, styles: list[dict[str, Any]]
-) -> None:
-    """Estimates of each throw alone, by row, and their mean or, where throws vary, what
-    is expected of each and its estimate from all throws."""
+    result: JointResult, variation: Variation, styles: Sequence[Style]
+) -> list[Row]:
+    """The estimate of each throw alone and, where throws vary, what is expected of it
+    and its estimate from all throws."""
     weights_by_expression = {
         combination.expression: combination.weights
         for combination in result.combinations
     }
     expression = variation.expression
     weights = weights_by_expression.get(expression, {expression: 1.0})
-    if result.means is None:
-        low = variation.mean - variation.stderr
-        high = variation.mean + variation.stderr
-        axes.axvspan(low, high, color=draw.DATA_COLOR, alpha=0.25, lw=0)
-    rows = zip(variation.each, styles, result.throws, strict=True)
-    for row, (alone, style, throw) in enumerate(rows):
-        color = style["color"]
+    rows = []
+    for alone, style, throw in zip(variation.each, styles, result.throws, strict=True):
+        values = []
+        expected = None
         if result.means is not None:
-            mean, sd = result.means.expected(weights, throw.data.labels)
-            axes.barh(
-                row, 2 * sd, left=mean - sd, height=0.9, color=color, alpha=0.25, lw=0
-            )
+            mean, sd = result.means.expected(weights, throw.data["labels"])
+            expected = Interval(mean - sd, mean + sd, style.color, 0.25)
             pooled = sum(
                 weight * throw.parameters[name].value
                 for name, weight in weights.items()
             )
-            axes.plot(pooled, row, color=color, zorder=3, **_POOLED)
+            values.append(RowValue(pooled, replace(_POOLED, color=style.color)))
         if alone is not None:
             value, stderr = alone
-            axes.errorbar(
-                value, row, xerr=stderr, fmt="o", color=color, markersize=3, lw=1
-            )
+            marks = Style(style.color, "none", width=1, marker="o", size=3)
+            values.append(RowValue(value, marks, stderr))
+        rows.append(Row(draw.file_name(throw.data["file"]), values, expected=expected))
+    return rows
+
+
+def _common(result: JointResult, variation: Variation) -> Interval | None:
+    """The mean with its standard error, if throws do not vary about it."""
+    if result.means is not None:
+        return None
+    low = variation.mean - variation.stderr
+    high = variation.mean + variation.stderr
+    return Interval(low, high, draw.DATA_COLOR, 0.25)
 
 
 @draw.style()
@@ -418,13 +432,12 @@ def event_figure(fit: FitResult) -> draw.Picture:
     return figure
 
 
-def _sheet(axes: Any, moving: dict[str, Any], events: Events, law: str) -> None:
-    """The path over the lines and the house, thrown to the right."""
+def _sheet(axes: Axes, moving: Mapping[str, Floats], events: Events, law: str) -> None:
+    """The path over the lines and the house, thrown to the right, and the resting
+    position if it was measured."""
     x = moving["x"]
     y = moving["y"]
-    draw.plot_house(axes, (sheet.TEE, 0))
-    axes.axhline(0, **_LINE)
-    axes.plot(y, x, color=draw.FIT_COLOR, lw=1.4, zorder=4, label=law)
+    paths = [Series(y, x, replace(LAW, width=1.4, zorder=4), law)]
     # coordinates of rest, each with its sigma; one that was not measured is the fit's
     rest = {"x": (x[-1], 0.0), "y": (y[-1], 0.0)}
     measured = {
@@ -436,32 +449,33 @@ def _sheet(axes: Any, moving: dict[str, Any], events: Events, law: str) -> None:
         rest |= measured
         x_rest, x_sigma = rest["x"]
         y_rest, y_sigma = rest["y"]
-        axes.errorbar(
-            y_rest,
-            x_rest,
-            xerr=y_sigma,
-            yerr=x_sigma,
-            **_MEASURED,
-            label="measured resting position",
+        paths.append(
+            Series(
+                np.array([y_rest]),
+                np.array([x_rest]),
+                ERROR_BARS,
+                "measured resting position",
+                sigma=np.array([x_sigma]),
+                sigma_at=np.array([y_sigma]),
+            )
         )
     left = min(float(y[0]), sheet.LINES["hog"]) - 1
     right = max(float(y[-1]), sheet.END) + 0.6
-    axes.set_xlim(left, right)
     names = {line: f"{name} line" for line, name in _NAMES.items()}
-    draw.sheet_axes(axes, names, sheet.WIDTH / 2, lw=0.8)
+    plot_on_sheet(axes, paths, ends=(left, right), line_names=names)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=2)
 
 
-def _distance(axes: Any, moving: dict[str, Any], events: Events) -> None:
+def _distance(axes: Axes, moving: Mapping[str, Floats], events: Events) -> None:
     """y over time; a measured time is drawn on its line, its residual off the
     fitted crossing."""
     t = moving["t"]
     y = moving["y"]
-    axes.plot(t, y, color=draw.FIT_COLOR)
+    plot(axes, Series(t, y, LAW))
     for line, name in _NAMES.items():
         at = sheet.LINES[line]
         if at >= y[0] - 1e-6:
-            axes.axhline(at, **_LINE)
+            axes.axhline(at, **draw.SHEET_LINE.options())
             axes.text(
                 0.01,
                 at,
@@ -476,26 +490,32 @@ def _distance(axes: Any, moving: dict[str, Any], events: Events) -> None:
             at = y[-1] if event.at is None else event.at  # no line: until rest
             crossing = float(np.interp(at, y, t))
             time = crossing + event.value - fitted
-            axes.errorbar(time, at, xerr=event.sigma, **_MEASURED)
+            plot_value(axes, at, RowValue(time, ERROR_BARS, event.sigma))
         elif event.quantity == "y":
-            axes.errorbar(t[-1], event.value, yerr=event.sigma, **_MEASURED)
+            rest = Series(
+                t[-1:],
+                np.array([event.value]),
+                ERROR_BARS,
+                sigma=np.array([event.sigma]),
+            )
+            plot(axes, rest)
     axes.set(xlabel="t (s)", ylabel="along the sheet, y (m)", xlim=(0, None))
 
 
-def _event_residuals(axes: Any, events: Events) -> None:
+def _event_residuals(axes: Axes, events: Events) -> None:
     """Measured minus fitted, in sigmas; the number stands beside one that is drawn at
     the edge."""
-    residuals = [(event.value - fitted) / event.sigma for event, fitted in events]
-    rows = np.arange(len(events))
-    axes.axvline(0, **_LINE)
-    axes.errorbar(np.clip(residuals, -_MOST, _MOST), rows, xerr=1.0, **_MEASURED)
-    for row, residual in zip(rows, residuals, strict=True):
-        if abs(residual) > _MOST:
-            text = f"{residual:.2g} sigma".replace("-", "\N{MINUS SIGN}")
-            axes.text(
-                0.5, row + 0.12, text, ha="center", transform=axes.get_yaxis_transform()
-            )
-    axes.set_yticks(rows, [event.name for event, _ in events])
-    reach = max(2.5, *(min(abs(residual), _MOST) + 1.5 for residual in residuals))
-    axes.set(xlim=(-reach, reach), ylim=(len(events) - 0.5, -0.5))
+    rows = []
+    reach = 2.5
+    for event, fitted in events:
+        residual = (event.value - fitted) / event.sigma
+        within = float(np.clip(residual, -_MOST, _MOST))
+        remark = ""
+        if within != residual:
+            remark = f"{residual:.2g} sigma".replace("-", "\N{MINUS SIGN}")
+        rows.append(Row(event.name, [RowValue(within, ERROR_BARS, 1.0)], remark=remark))
+        reach = max(reach, abs(within) + 1.5)
+    axes.axvline(0, **draw.SHEET_LINE.options())
+    plot_rows(axes, rows)
+    axes.set_xlim(-reach, reach)
     axes.set_xlabel("measured \N{MINUS SIGN} fit (sigma)")

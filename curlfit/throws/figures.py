@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 from curlfit.output import figures as draw
+from curlfit.output.panels import (
+    Series,
+    measured_rate,
+    plot,
+    plot_path,
+    plot_rate,
+)
 from curlfit.throws.throw import UNITS, Throw
 
 
@@ -11,9 +18,9 @@ def throw_figure(throw: Throw) -> draw.Picture:
     """Measured channels over time, one panel each."""
     channels = throw.seen
     height = 1.4 * len(channels) + 0.5
-    figure, panels = draw.panels(height, len(channels), 1, sharex=True, squeeze=False)
+    figure, panels = draw.subplots(height, len(channels), 1, sharex=True, squeeze=False)
     for (axes,), name in zip(panels, channels, strict=True):
-        axes.plot(throw.t, getattr(throw, name), **draw.DATA_STYLE)
+        plot(axes, Series(throw.t, getattr(throw, name), draw.DATA))
         axes.set_ylabel(f"${draw.CHANNEL_LABEL[name]}$ ({UNITS[name]})")
     panels[-1, 0].set_xlabel("t (s)")
     draw.title(panels[0, 0], draw.file_name(throw.name))
@@ -24,17 +31,15 @@ def throw_figure(throw: Throw) -> draw.Picture:
 def motion_figures(throw: Throw) -> dict[str, draw.Picture]:
     """Path from above, speed and spin, as measured or from slopes of the data: half as
     wide as others, by what they show."""
-    rows = {"t": throw.t} | {name: getattr(throw, name) for name in throw.seen}
-    needs = {"path": "x", "speed": "x", "spin": "phi"}
-    measured = {"speed": "speed", "spin": "omega"}
+    channels = {"t": throw.t} | {name: getattr(throw, name) for name in throw.seen}
     figures = {}
-    for name, channel in needs.items():
-        if not {channel, measured.get(name)} & rows.keys():
-            continue
-        figures[name], axes = draw.panels(2.1, 1, 1, width=draw.WIDTH / 2)
-        if name == "path":
-            axes.plot(rows["y"], rows["x"], **draw.DATA_STYLE)
-            draw.x_along_y(axes)
-        else:
-            draw.plot_rate(axes, rows, measured[name])
+    if "x" in channels:
+        figures["path"], axes = draw.subplots(2.1, 1, 1, width=draw.WIDTH / 2)
+        plot_path(axes, [Series(channels["y"], channels["x"], draw.DATA)])
+    if {"x", "speed"} & channels.keys():
+        figures["speed"], axes = draw.subplots(2.1, 1, 1, width=draw.WIDTH / 2)
+        plot_rate(axes, "speed", [measured_rate(channels, "speed")])
+    if {"phi", "omega"} & channels.keys():
+        figures["spin"], axes = draw.subplots(2.1, 1, 1, width=draw.WIDTH / 2)
+        plot_rate(axes, "omega", [measured_rate(channels, "omega")])
     return figures

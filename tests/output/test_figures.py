@@ -12,7 +12,8 @@ from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.output.figures import Picture, measured_slopes
+from curlfit.output.figures import Picture
+from curlfit.output.panels import measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
 from curlfit.reports.corner import corner_figure
 from curlfit.reports.figures import fit_figure, joint_figure
@@ -286,13 +287,16 @@ def test_slopes_of_data_are_those_of_the_motion():
     t = np.linspace(2.0, 12.0, 201)
     x, phi = 3 * t - 0.1 * t**2, 0.5 * t**2
     gap = (t > 5) & (t < 6)
-    at, (speed, spin), over = measured_slopes(t, np.where(gap, np.nan, x), phi)
-    whole = np.abs(at - 5.5) > 1  # away from groups on both sides of the gap
-    np.testing.assert_allclose(speed[whole], 3 - 0.2 * at[whole], rtol=1e-9)
-    np.testing.assert_allclose(spin[whole], at[whole], rtol=1e-9)
-    assert 0.15 < over < 0.3
-    at, (nothing,), _ = measured_slopes(t, np.full(201, np.nan))
-    assert len(at) == len(nothing) == 0
+    slopes = measured_slopes(t, np.where(gap, np.nan, x), phi)
+    whole = np.abs(slopes.at - 5.5) > 1  # away from groups on both sides of the gap
+    at = slopes.at[whole]
+    speed, spin = slopes.values[:, whole]
+    np.testing.assert_allclose(speed, 3 - 0.2 * at, rtol=1e-9)
+    np.testing.assert_allclose(spin, at, rtol=1e-9)
+    assert 0.15 < slopes.duration < 0.3
+    nothing = measured_slopes(t, np.full(201, np.nan))
+    assert nothing.at.shape == (0,)
+    assert nothing.values.shape == (1, 0)
 
 
 # --- files ----------------------------------------------------------------------------
