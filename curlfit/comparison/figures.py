@@ -129,7 +129,7 @@ def _paths(axes: Axes, comparison: Comparison, fits: Sequence[_Fit]) -> None:
             label += ", law alone"
         paths.append(Series(fit.y, fit.x, fit.style, label))
     plot_path(axes, paths)
-    draw.title(axes, f"{draw.file_name(comparison.data['file'])}: {len(fits)} fits")
+    draw.title(axes, f"{draw.file_name(comparison.data.file)}: {len(fits)} fits")
     axes.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.html_report.blocks import InteractiveBlock
 from curlfit.html_report.replay import Numbers, Point, rounded
@@ -270,7 +271,7 @@ def _direction(
 
 
 def _sides_of(
-    curves: Curves, sides: tuple[str, str], instants: Sequence[int]
+    curves: Curves, sides: tuple[str, str], instants: NDArray[np.intp]
 ) -> list[Floats]:
     """A path along the two sides of the drawing, at some of its times."""
     series = {"t": curves.t, **curves.path}

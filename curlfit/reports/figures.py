@@ -172,11 +172,11 @@ def _residuals(axes: Axes, fit: FitResult, channel: str) -> None:
 def _outliers(fit: FitResult, channel: str, size: float) -> Series | None:
     """The residuals of the outliers of a channel in a unit, whose size is in SI; None
     if there are none."""
-    outliers = [outlier for outlier in fit.outliers if outlier["channel"] == channel]
+    outliers = [outlier for outlier in fit.outliers if outlier.channel == channel]
     if not outliers:
         return None
-    t = np.array([outlier["t"] for outlier in outliers])
-    off = np.array([outlier["off"] for outlier in outliers])
+    t = np.array([outlier.t for outlier in outliers])
+    off = np.array([outlier.off for outlier in outliers])
     if fit.discrepancy:
         off = off - np.interp(t, fit.observed["t"], fit.discrepancy[channel])
     label = counted(len(outliers), "outlier")
@@ -350,7 +350,7 @@ def _paths(axes: Axes, result: JointResult, styles: Sequence[Style]) -> None:
         y = throw.observed["y"][rows]
         marks = replace(draw.DATA, color=style.color)
         line = replace(style, width=1)
-        file = draw.file_name(throw.data["file"])
+        file = draw.file_name(throw.data.file)
         paths.append(Series(y, x, marks))
         paths.append(Series(throw.predicted["y"], throw.predicted["x"], line, file))
     plot_path(axes, paths)
@@ -380,7 +380,7 @@ def _estimates(
         values = []
         expected = None
         if result.means is not None:
-            mean, sd = result.means.expected(weights, throw.data["labels"])
+            mean, sd = result.means.expected(weights, throw.data.labels)
             expected = Interval(mean - sd, mean + sd, style.color, 0.25)
             pooled = sum(
                 weight * throw.parameters[name].value
@@ -391,7 +391,7 @@ def _estimates(
             value, stderr = alone
             marks = Style(style.color, "none", width=1, marker="o", size=3)
             values.append(RowValue(value, marks, stderr))
-        rows.append(Row(draw.file_name(throw.data["file"]), values, expected=expected))
+        rows.append(Row(draw.file_name(throw.data.file), values, expected=expected))
     return rows
 
 
