@@ -68,8 +68,8 @@ class Season(NamedTuple):
     durations: Floats
     """of the records, s"""
     told: Floats
-    """by each, see `FitResult.coefficient_rows`; of a throw with a ridge, the first
-    part of `FitResult.coefficient_rows_along_ridge`"""
+    """by each, see `coefficient_rows`; of a throw with a ridge, the first
+    part of `coefficient_rows_along_ridge` (`inference.fit.coefficient_rows`)"""
     notes: tuple[Finding, ...]
     conditions: tuple[str, ...] = ()
     """that each throw has for itself"""
