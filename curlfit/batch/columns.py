@@ -1,5 +1,8 @@
 """The columns of the table of a batch, each with its name and how it gets its value of
-a throw. A value that is missing is None."""
+a throw. A value that is missing is None.
+
+The error of a parameter is NAME_stderr, that of an expression "EXPRESSION stderr".
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ class BatchRow:
     file, shot, stone_index : where it was read.
     status : whether its fit can be used.
     reason : why it is not ok.
-    fit : None where there is none.
+    fit : without its curves, unless systematic errors are asked for, and without
+        quantities of the path; None where there is none.
     derived : quantities that the batch asks for, by expression.
     quantiles : of the posterior, by the name of a parameter or combination.
     warnings : of the fit and of its posterior.

@@ -439,8 +439,9 @@ def fit_throws(
     Parameters
     ----------
     law, choices : as in `fit`, for all throws.
-    curves : whether the fits contain the fitted curves; they always do under a robust
-        loss or correlated noise.
+    curves : whether the fits contain the fitted curves, by which it is also checked
+        whether the fitted motion is that of a stone; they always do under a robust loss
+        or correlated noise. Quantities of the path are not computed in any case.
     systematics : as in `fit`, but none by default; they need the curves.
 
     Raises

@@ -34,7 +34,8 @@ _LINEAR = 0.03  # sd by which they may be off
 
 
 class _Motion(NamedTuple):
-    """A path within the record, at evenly spaced times."""
+    """A path within the record, at evenly spaced times: on the true clock, in the
+    lengths of the data."""
 
     t: Floats
     x: Floats
@@ -86,7 +87,8 @@ class _Motion(NamedTuple):
 
 
 class _Definition(NamedTuple):
-    """A quantity of the path."""
+    """A quantity of the path that exists at the best estimate; `of` is NaN of a motion
+    near it that lacks the quantity."""
 
     name: str
     meaning: str
@@ -132,7 +134,8 @@ class _Path:
 
 
 def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
-    """The quantities that a record determines, by name.
+    """The quantities that a record determines, by name; none of a fit without its
+    curves, as those of a batch are.
 
     Curl is the distance from the straight line along the velocity at the first row,
     positive to the right. Lines of the sheet are used where y is measured from the hack
