@@ -19,10 +19,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 from curlfit.numerics.namespace import namespace
-from curlfit.records import ADDED
 
 if TYPE_CHECKING:
     from curlfit.numerics.arrays import Floats
+
+# `curlfit.records.ADDED`, whose import takes numpy, without which `--help` is quick
+_ADDED = {"needed": False}
 
 _TYPICAL = 0.1  # mean of the prior of the correlation time over the time of motion
 _SHORTEST = 0.3  # correlation time over the time between rows
@@ -90,10 +92,10 @@ class Noise:
 
     kind: str = ""
     memory: dict[str, float] = field(default_factory=dict)
-    white: dict[str, float] = field(default_factory=dict, metadata=ADDED)
+    white: dict[str, float] = field(default_factory=dict, metadata=_ADDED)
     sizes: dict[str, float] = field(default_factory=dict)
-    independent: dict[str, float] = field(default_factory=dict, metadata=ADDED)
-    initial_state: list[list[float]] = field(default_factory=list, metadata=ADDED)
+    independent: dict[str, float] = field(default_factory=dict, metadata=_ADDED)
+    initial_state: list[list[float]] = field(default_factory=list, metadata=_ADDED)
 
     about: ClassVar[str]
     further_names: ClassVar[tuple[str, ...]] = ()

@@ -238,12 +238,10 @@ class Posterior(NamedTuple):
         """From a fit, whose own priors are among the prior."""
         free = result.parameter_set.free
         names = result.information.names
-        information = result.information.matrix
-        gradient = result.information.gradient
         # of the data alone: without what the priors of the fit say
         _, slope, square = result.parameter_set.penalty.quadratic(result.values)
-        information -= np.diag(square[free])
-        gradient += slope[free]
+        information = result.information.matrix - np.diag(square[free])
+        gradient = result.information.gradient + slope[free]
         priors = [_prior(result, name) for name in names]
         sd = np.array([prior.sd for prior in priors])
         at_bound = [

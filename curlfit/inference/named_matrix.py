@@ -24,8 +24,19 @@ class NamedMatrix(Entry):
     names: tuple[str, ...]
     matrix: Matrix
 
+    def __post_init__(self) -> None:
+        """Protect the numbers of a record from a computation in place."""
+        object.__setattr__(self, "matrix", read_only(self.matrix))
+
     def among(self, names: Sequence[str]) -> Floats:
         """The matrix of some of its parameters, in their order."""
         places = [self.names.index(name) for name in names]
         block: Floats = self.matrix[np.ix_(places, places)]
         return block
+
+
+def read_only(array: Floats) -> Floats:
+    """A copy of an array that cannot be changed."""
+    copy: Floats = np.array(array, float)
+    copy.setflags(write=False)
+    return copy

@@ -96,12 +96,8 @@ def few():
 def test_the_number_of_parameters_does_not_jump(few):
     counts = []
     for factor in 10.0 ** np.arange(-8, 3, 0.5):
-        scaled = (factor * few.information.matrix).tolist()
-        counts.append(
-            effective_parameters(
-                replace(few, information={**few.information, "matrix": scaled})
-            )
-        )
+        scaled = replace(few.information, matrix=factor * few.information.matrix)
+        counts.append(effective_parameters(replace(few, information=scaled)))
     # The initial speed, whose prior is flat, counts always, what is along the
     # ridge never.
     assert counts[0] == pytest.approx(1.0, abs=0.01)

@@ -90,7 +90,7 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
     measured = np.stack([throw.x, throw.y, throw.phi], -1)
 
     def log_predictive(other, row):
-        assert other.covariance.names == names
+        assert list(other.covariance.names) == names
         covariance = slopes[row] @ other.covariance.matrix @ slopes[row].T
         covariance += np.diag(np.square(list(SIGMA.values())))
         off = measured[row] - path_of(other, throw.t)[row]

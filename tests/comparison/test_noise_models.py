@@ -47,8 +47,8 @@ def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
         t = result.observed["t"]
         for name in SIGMA:
             off = result.observed[name] - result.fitted[name]
-            memory = item.noise_model["memory"].get(name, 1e-9)
-            white = item.noise_model["white"].get(name, 1.0)
+            memory = item.noise_model.memory.get(name, 1e-9)
+            white = item.noise_model.white.get(name, 1.0)
             correlation = (1 - white) * np.exp(-np.abs(t[:, None] - t) / memory)
             correlation += white * np.eye(len(t))
             # the most likely
@@ -67,7 +67,7 @@ def test_criteria_of_noise_models_are_comparable(found):
     expected += (white.n_parameters - ar1.n_parameters) * np.log(n)
     assert white.delta_bic == pytest.approx(expected, rel=1e-9)
     assert white.delta_bic > 100
-    assert all(0.2 < memory < 1.2 for memory in ar1.noise_model["memory"].values())
+    assert all(0.2 < memory < 1.2 for memory in ar1.noise_model.memory.values())
     assert (
         ar1.log_evidence is white.log_evidence is ar1.elpd_loo is white.elpd_loo is None
     )

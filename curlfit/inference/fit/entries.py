@@ -9,7 +9,7 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.inference.named_matrix import NamedMatrix
+from curlfit.inference.named_matrix import NamedMatrix, read_only
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats
@@ -117,6 +117,11 @@ class GaussNewtonInformation(NamedMatrix):
     """
 
     gradient: Floats
+
+    def __post_init__(self) -> None:
+        """Protect the numbers of a record from a computation in place."""
+        super().__post_init__()
+        object.__setattr__(self, "gradient", read_only(self.gradient))
 
     @classmethod
     def none(cls) -> Self:
