@@ -180,9 +180,12 @@ class GrowingTable:
             )
         elif changed:
             key = changed[0]
-            old = _setting_in_words(recorded.get(key))
             new = _setting_in_words(settings[key])
-            fault = f": made with other settings ({key} = {old}, not {new})"
+            if key in recorded:
+                old = _setting_in_words(recorded[key])
+                fault = f": made with other settings ({key} = {old}, not {new})"
+            else:
+                fault = f": made by an earlier version, whose settings have no {key}"
         elif not text.startswith(head):
             fault = ", line 1: other columns than this version of curlfit writes"
         if fault:

@@ -8,9 +8,14 @@ import pytest
 from matplotlib.text import Text
 
 import curlfit
-from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.joint.result import (
+    DeterminedTogether,
+    JointResult,
+    Variation,
+)
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
+from curlfit.loads import Load
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import Picture
 from curlfit.output.panels import measured_slopes
@@ -406,15 +411,14 @@ def test_units_go_by_size(size, channel, unit):
 def a_joint_result(throws, differences):
     return JointResult(
         law="front-back",
-        load="uniform",
+        load=Load.UNIFORM,
         share=("mu1_xi",),
         converged=True,
         status="converged",
         warnings=(),
         coefficients={},
         combinations=(),
-        rank=1,
-        parameters=1,
+        identifiability=DeterminedTogether(rank=1, parameters=1),
         variation=differences,
         throws=throws,
     )

@@ -1,16 +1,18 @@
 """Results that version 0.2.0 wrote are read: a chain may have cost hours.
 
-The files in `results_of_0_2` were written by `curlfit fit`, `fit` of two files and
-`compare` of that version, from every eighth row of the shipped throw.
+The files in `results_of_0_2` were written by `curlfit fit`, `fit` of two files,
+`compare` and `batch` of that version, from every eighth row of the shipped throw.
 """
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import DATA, invoke
 
 import curlfit
 from curlfit.loads import Load
@@ -63,3 +65,13 @@ def test_a_comparison_is_ranked_as_it_was():
     assert [one.law for one in comparison.candidates] == ["front-back", "coulomb"]
     assert comparison.best.coefficients["mu2_xi"].value == pytest.approx(0.0555976)
     assert comparison.best.noise_model.kind == "white"
+
+
+def test_a_table_of_a_batch_is_not_mixed_with_rows_of_today(tmp_path):
+    for name in ("season.csv", "season.settings.json"):
+        shutil.copy(FILES / name, tmp_path)
+    table = tmp_path / "season.csv"
+    run = invoke(["batch", DATA, "--out", table])
+    assert run.exit_code == 2
+    assert "made by an earlier version, whose settings have no " in str(run.exception)
+    assert table.read_bytes() == (FILES / "season.csv").read_bytes()

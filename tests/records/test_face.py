@@ -31,3 +31,14 @@ def test_entries_have_the_keys_of_the_file_as_items(eq12_fit):
     assert (data["from"], data["to"], data["rows"]) == (data.begin, data.end, data.rows)
     with pytest.raises(KeyError):
         data["begin"]
+
+
+def test_matrices_of_a_record_cannot_be_changed(eq12_fit):
+    information = eq12_fit.information
+    for numbers in (
+        information.matrix,
+        information.gradient,
+        eq12_fit.covariance.matrix,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            numbers += 1.0
