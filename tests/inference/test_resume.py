@@ -180,7 +180,8 @@ def saved(eq12_fit, short, tmp_path):
     """A folder with an unfinished run of seed 2."""
     folder = tmp_path / "saved"
     folder.mkdir()
-    eq12_fit.before_sampling().save(folder / "fit.json")
+    begun = replace(eq12_fit, posterior=None, sampling="unfinished")
+    begun.save(folder / "fit.json")
     short[1].save(folder / "chain.h5")
     return folder
 

@@ -15,6 +15,7 @@ import curlfit
 from curlfit.errors import Option
 from curlfit.inference.fit.caveats import of_outliers
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
 from curlfit.inference.likelihood import SIGMA_FLOOR
@@ -198,11 +199,9 @@ def test_outliers_are_named_where_they_draw_the_fit_aside():
 
 def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():
     t = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    early = [
-        {"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")
-    ]
+    early = [Outlier(name, 0.0, 2, 0.1, 60.0) for name in ("y", "phi")]
     since = Option("since", "0.5")
     assert since in of_outliers(tuple(early), t).options
-    late = {"channel": "y", "t": 0.8, "line": 6, "sigmas": 50.0}
+    late = Outlier("y", 0.8, 6, 0.1, 50.0)
     assert of_outliers((*early, late), t).options == (Option("loss", "student"),)
     assert of_outliers((late,), t).options == (Option("loss", "student"),)

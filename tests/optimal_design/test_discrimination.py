@@ -46,8 +46,7 @@ def throw_of(between, law, v0, omega0):
 
 def left_by(fit):
     """Chi squared of a fit with the prior of `slope_x`, of which it is a part."""
-    slope = getattr(fit, "parameters", None)
-    slope = (fit.coefficients if isinstance(slope, int) else slope)["slope_x"].value
+    slope = fit["slope_x"].value
     fits = getattr(fit, "throws", (fit,))
     return sum(fit.chi_squared for fit in fits) + (slope / 1e-3) ** 2
 
