@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import zlib
 from datetime import date, datetime, time, timedelta
+from functools import lru_cache
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ from curlfit.throws.readers.worksheet_size import (
 _ARCHIVE_FAULTS = (BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ExpatError)
 
 
+# The readers of tables ask one after another whether a file is theirs.
+@lru_cache(maxsize=1)
 def text_of_sheet(
     raw: bytes, path: Path, most_bytes: int, wanted: str | None = None
 ) -> tuple[str, Finding | None]:
