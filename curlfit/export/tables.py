@@ -48,13 +48,10 @@ def rows_of(
     With `in_words`, quantities of the path are positive, their meaning names the side.
     """
     coefficients = result.coefficients
-    parameters = getattr(result, "parameters", {})
-    if not isinstance(parameters, dict):  # a joint fit has their number there
-        parameters = {}
     estimates: dict[str, Any] = dict(coefficients)
     for combination in result.combinations:
         estimates[combination.expression] = combination
-    for name, parameter in parameters.items():
+    for name, parameter in getattr(result, "parameters", {}).items():
         if name not in coefficients:
             estimates[name] = parameter
     for derived in result.all_derived:

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 
 from curlfit import sheet
 from curlfit.foreign import counted
+from curlfit.inference.fit.entries import FittedEvent
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.effects import Effect
@@ -39,7 +40,6 @@ from curlfit.output.panels import (
     plot_value,
 )
 from curlfit.output.ticks import neat_axis, unit_for
-from curlfit.throws.events import Event
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -55,8 +55,7 @@ _NAMES = {"back": "back", "hog": "hog", "far-hog": "hog", "far-tee": "tee"}
 _MOST = 5.0  # sigmas, largest residual shown
 _POINTS_OF_A_THROW = 400  # most drawn of each path among others
 
-Events = list[tuple[Event, float]]
-"""Timed events, each with its fitted value."""
+Events = Sequence[FittedEvent]
 
 
 @draw.style()
@@ -416,19 +415,10 @@ def event_figure(fit: FitResult) -> draw.Picture:
     last = int(np.argmax(speed == 0)) or len(speed) - 1
     moving = {name: series[: last + 2] for name, series in fit.fitted.items()}
     moving["t"] = fit.observed["t"][: last + 2]
-    _sheet(
-        on_sheet,
-        moving,
-        [(fitted.event, fitted.fitted) for fitted in fit.events],
-        f"{draw.literal(fit.law)} law",
-    )
+    _sheet(on_sheet, moving, fit.events, f"{draw.literal(fit.law)} law")
     draw.title(on_sheet, draw.heading_of(fit))
-    _distance(
-        panels[0], moving, [(fitted.event, fitted.fitted) for fitted in fit.events]
-    )
-    _event_residuals(
-        panels[1], [(fitted.event, fitted.fitted) for fitted in fit.events]
-    )
+    _distance(panels[0], moving, fit.events)
+    _event_residuals(panels[1], fit.events)
     return figure
 
 
@@ -442,7 +432,7 @@ def _sheet(axes: Axes, moving: Mapping[str, Floats], events: Events, law: str) -
     rest = {"x": (x[-1], 0.0), "y": (y[-1], 0.0)}
     measured = {
         event.quantity: (event.value, event.sigma)
-        for event, _ in events
+        for event in events
         if event.at is None and event.quantity in rest
     }
     if measured:
@@ -485,11 +475,11 @@ def _distance(axes: Axes, moving: Mapping[str, Floats], events: Events) -> None:
                 color=draw.QUIET,
                 va="bottom",
             )
-    for event, fitted in events:
+    for event in events:
         if event.quantity == "time":
             at = y[-1] if event.at is None else event.at  # no line: until rest
             crossing = float(np.interp(at, y, t))
-            time = crossing + event.value - fitted
+            time = crossing + event.value - event.fitted
             plot_value(axes, at, RowValue(time, ERROR_BARS, event.sigma))
         elif event.quantity == "y":
             rest = Series(
@@ -507,12 +497,11 @@ def _event_residuals(axes: Axes, events: Events) -> None:
     the edge."""
     rows = []
     reach = 2.5
-    for event, fitted in events:
-        residual = (event.value - fitted) / event.sigma
-        within = float(np.clip(residual, -_MOST, _MOST))
+    for event in events:
+        within = float(np.clip(event.residual, -_MOST, _MOST))
         remark = ""
-        if within != residual:
-            remark = f"{residual:.2g} sigma".replace("-", "\N{MINUS SIGN}")
+        if within != event.residual:
+            remark = f"{event.residual:.2g} sigma".replace("-", "\N{MINUS SIGN}")
         rows.append(Row(event.name, [RowValue(within, ERROR_BARS, 1.0)], remark=remark))
         reach = max(reach, abs(within) + 1.5)
     axes.axvline(0, **draw.SHEET_LINE.options())
