@@ -206,12 +206,12 @@ def said_cell(text: str) -> str:
 def test_the_largest_workbook(tmp_path, monkeypatch):
     pytest.importorskip("python_calamine")
     cells = (len(ROWS) + 1) * 4 + 2
-    file = xlsx(tmp_path / "throw.xlsx", xlsx_rows(PLAIN), xlsx_rows("a,b"))
+    worksheets = (xlsx_rows(PLAIN), xlsx_rows("a,b"))
     monkeypatch.setattr(worksheet_size, "MOST_CELLS", cells)
-    is_throw(load_throw(file))
+    is_throw(load_throw(xlsx(tmp_path / "largest.xlsx", *worksheets)))
     monkeypatch.setattr(worksheet_size, "MOST_CELLS", cells - 1)
     with pytest.raises(DataError, match=f"a workbook may have {cells - 1} cells"):
-        load_throw(file)
+        load_throw(xlsx(tmp_path / "too_large.xlsx", *worksheets))
 
 
 def several(gap: float, shift: float = 0.5) -> str:
