@@ -98,7 +98,7 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
     """Log-likelihood at the fit, by channel, under the noise model or the loss; an
     estimated sigma is at its most likely value."""
     loss = LOSSES[result.loss]
-    problem, _ = problem_of(result)
+    problem = problem_of(result)
     weight = problem.weight  # 1/sigma, 0 where not measured, shape (channels, rows)
     whitener = problem.whitener
     residual = np.zeros(weight.shape)  # has more rows than were measured

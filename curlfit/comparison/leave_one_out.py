@@ -86,14 +86,13 @@ def leave_one_out(
         return None
     posterior = Posterior.of(result)
     free = result.parameter_set.free
-    problem, origin = problem_of(result)
+    problem = problem_of(result)
     channels = problem.observed.shape[0]
     n = len(result.observed["t"])  # the rows of a problem are filled up to more
     weight = problem.weight[:, :n]
     measured = weight > 0
-    offset = origin.offset(len(result.values))
-    values = result.values - offset
-    parameters = result.parameter_set.shifted(-offset)
+    values = result.values
+    parameters = result.parameter_set
     model = result.model.within(family)
     error = np.sqrt(np.diag(result.information.matrix))
     step = _STEP * parameters.typical

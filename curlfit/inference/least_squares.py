@@ -68,8 +68,7 @@ ALONG_RIDGE = Control(1e-4, 1e-5, 1e-5)
 
 
 class Solution(NamedTuple):
-    """An optimum, in the coordinates of its problem; or many, along the first axis
-    of each field.
+    """An optimum; or many, along the first axis of each field.
 
     Residuals that are not finite mean that there was no path even at the
     initial values.

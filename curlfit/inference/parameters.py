@@ -65,8 +65,6 @@ class ParameterSet:
     parameters: tuple[Parameter, ...]
     fixed: dict[str, float]
     priors: dict[str, Prior] = field(default_factory=dict)
-    offset: Floats | float = 0.0
-    """added to values of this set to obtain those that the priors refer to"""
 
     @classmethod
     def build(
@@ -226,7 +224,7 @@ class ParameterSet:
     @cached_property
     def penalty(self) -> Penalty:
         """What the priors add to chi squared."""
-        return penalty_of(self.parameters, self.priors, self.offset)
+        return penalty_of(self.parameters, self.priors)
 
     @cached_property
     def free(self) -> Booleans:
@@ -255,18 +253,6 @@ class ParameterSet:
     def values_of(self, values: Floats) -> dict[str, float]:
         """A parameter vector as a dictionary by name."""
         return dict(zip(self.names, map(float, values), strict=True))
-
-    def shifted(self, by: Floats) -> ParameterSet:
-        """The same with values and bounds shifted, for instance to the coordinates
-        of a problem."""
-        moved = tuple(
-            replace(item, lower=item.lower + shift, upper=item.upper + shift)
-            for item, shift in zip(self.parameters, by, strict=True)
-        )
-        fixed = {
-            name: value + by[self.index(name)] for name, value in self.fixed.items()
-        }
-        return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""

@@ -242,23 +242,14 @@ class Penalty(NamedTuple):
         )
 
 
-def penalty_of(
-    parameters: Iterable[Parameter],
-    priors: Mapping[str, Prior],
-    offset: Floats | float = 0.0,
-) -> Penalty:
+def penalty_of(parameters: Iterable[Parameter], priors: Mapping[str, Prior]) -> Penalty:
     """The penalty of some priors.
 
     That of a lognormal density is quadratic about its mode: with u = ln(p/median) and
     s = sigma, u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
-
-    Parameters
-    ----------
-    offset : added to the penalized values to obtain those that the priors refer to.
     """
     names = [item.name for item in parameters]
     location, weight, logarithmic = np.zeros((3, len(names)))
-    offset = np.zeros(len(names)) + offset
     for name, prior in priors.items():
         index = names.index(name)
         weight[index] = 1 / prior.width
@@ -268,5 +259,5 @@ def penalty_of(
             logarithmic[index] = 1.0
             location[index] = math.log(prior.mode)
         else:
-            location[index] = prior.mode - offset[index]
+            location[index] = prior.mode
     return Penalty(location, weight, logarithmic)

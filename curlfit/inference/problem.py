@@ -1,9 +1,9 @@
-"""A throw as arrays for the compiled model, `Problem`, and the origin of
-these, `Origin`.
+"""A throw as arrays for the compiled model, `Problem`.
 
-In a problem the first time is 0, and position and angle are relative to a
-reference near the first row, so that neither a clock nor a map grid with large
-numbers costs precision.
+Places and angles are those of the data, and so are the parameters: those of a map
+grid, of some 10^6 m, are still told to a nanometre. Only the clock begins with the
+first row, since that of a computer, of some 10^9 s, would cost a tenth of a
+microsecond, or as many micrometres.
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.parameters import START
 from curlfit.inference.spin_at_rest import MeasuredSpins
 from curlfit.losses import LINEAR, Loss, place_of
-from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
-from curlfit.throws.events import Event, EventArrays, event_arrays
+from curlfit.throws.events import EventArrays, event_arrays
 from curlfit.throws.throw import CHANNELS, Throw
 
 ROWS_OF_DATA = (*CHANNELS, "event")
@@ -44,9 +42,9 @@ class Problem(NamedTuple):
     """s since the first row, shape (n,); None where friction was
     measured and no path"""
     observed: Any
-    """x, y, phi relative to the origin, zero where not observed, shape (3, n); with
-    speed and omega, where these were measured, (5, n); with events, (6, n), the last
-    row with one event per column"""
+    """x, y, phi, zero where not observed, shape (3, n); with speed and omega, where
+    these were measured, (5, n); with events, (6, n), the last row with one event per
+    column, whose times are since the first row"""
     weight: Any
     """1/sigma, 0 where not observed, of the same shape"""
     stone: Stone
@@ -64,48 +62,15 @@ class Problem(NamedTuple):
     """what was measured of the spin; None without its channel"""
 
 
-class Origin(NamedTuple):
-    """Origin of a problem in the coordinates of the data."""
-
-    t: float
-    place: Floats
-    """x, y, phi and two zeros for speed and omega, shape (5,)"""
-
-    @classmethod
-    def of(cls, throw: Throw) -> Origin:
-        """The first time of a throw, and the first finite values of x, y and phi."""
-        place = np.zeros(len(CHANNELS))
-        finite = throw.finite[:3]
-        first = throw.observed[np.arange(3), finite.argmax(1)]
-        place[:3] = np.where(finite.any(1), first, 0.0)
-        return cls(float(throw.t[0]), place)
-
-    def of_event(self, event: Event) -> float:
-        """Origin of the quantity measured at an event."""
-        if event.since is not None:
-            return 0.0
-        x, y, phi, *_ = map(float, self.place)
-        return {"time": self.t, "x": x, "y": y, "phi": phi}.get(event.quantity, 0.0)
-
-    def offset(self, size: int) -> Floats:
-        """Added to a parameter vector of a problem, gives it in the coordinates
-        of the data."""
-        offset, names = np.zeros(size), [item.name for item in START]
-        places = [names.index(name) - len(names) for name in ("x0", "y0", "phi0")]
-        offset[places] = self.place[:3]
-        return offset
-
-
 def build_problem(
     throw: Throw,
     stone: Stone,
-    origin: Origin,
     sigma: dict[str, float],
     loss: Loss = LINEAR,
     swept: Sequence[float] | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
-    """The throw relative to an origin, padded.
+    """The problem of a throw, padded.
 
     Parameters
     ----------
@@ -117,26 +82,28 @@ def build_problem(
     channels, rows = shape or problem_shape(throw)
     seen = min(channels, len(CHANNELS))
     finite = throw.finite[:seen]
-    times = np.full(rows, throw.t[-1] - origin.t)
-    times[:n] = throw.t - origin.t
-    observed, weight = np.zeros((channels, rows)), np.zeros((channels, rows))
-    observed[:seen, :n] = np.where(
-        finite, throw.observed[:seen] - origin.place[:seen, None], 0
-    )
+    first_time = float(throw.t[0])
+    times = np.full(rows, throw.t[-1] - first_time)
+    times[:n] = throw.t - first_time
+    observed = np.zeros((channels, rows))
+    weight = np.zeros((channels, rows))
+    observed[:seen, :n] = np.where(finite, throw.observed[:seen], 0.0)
     for row, name in enumerate(CHANNELS[:channels]):
         weight[row, :n] = np.where(finite[row], 1 / _sigma_of(throw, sigma, name), 0.0)
     events = None
     if channels > _EVENT:
-        events = event_arrays(throw.events, float(origin.place[1]))
+        events = event_arrays(throw.events)
         for column, event in enumerate(throw.events):
-            observed[_EVENT, column] = event.value - origin.of_event(event)
+            on_clock = event.quantity == "time" and event.since is None
+            value = event.value - first_time if on_clock else event.value
+            observed[_EVENT, column] = value
             weight[_EVENT, column] = 1 / event.sigma
     return Problem(
         times=times,
         observed=observed,
         weight=weight,
         stone=Stone(*map(np.asarray, vars(stone).values())),  # type: ignore[arg-type]
-        environment=environment_of(swept, origin.t),
+        environment=environment_of(swept, first_time),
         loss=np.asarray(place_of(loss)),
         events=events,
         spins=MeasuredSpins.of(throw, rows) if channels >= len(CHANNELS) else None,

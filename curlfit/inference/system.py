@@ -1,8 +1,7 @@
 """The stone and its surroundings, as a parameter vector describes them.
 
 A parameter vector contains the law's coefficients, then the conditions that are
-parameters of the fit, then `x0 y0 heading v0 phi0 omega0`, in the coordinates of
-a `Problem`.
+parameters of the fit, then `x0 y0 heading v0 phi0 omega0`.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ class ConfiguredThrow(Generic[Chosen]):
         model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
         rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
         (problem,) = unstacked(rounds.problems)
-        return model, prepared.local_parameters, problem
+        return model, prepared.parameters, problem
 
 
 def prepare(

@@ -52,9 +52,8 @@ class Refit:
         self.fit = fit
         self.parameters = fit.parameter_set
         self.model = fit.model
-        self._problem, origin = problem_of(fit)
-        self._offset = origin.offset(len(self.parameters))
-        self._penalty = self.parameters.shifted(-self._offset).penalty
+        self._problem = problem_of(fit)
+        self._penalty = self.parameters.penalty
         self.lowest: Optimum | None = None
         (solution,) = self._solved([], np.zeros((1, 0)), [fit.values])
         if solution is None:
@@ -72,13 +71,12 @@ class Refit:
         """The fits with the parameters of the indices `held` at each of the points,
         shape (starts, held); None where there is no path."""
         count = len(starts)
-        offset = self._offset
-        lower = np.tile(self.parameters.lower - offset, (count, 1))
-        upper = np.tile(self.parameters.upper - offset, (count, 1))
-        lower[:, held] = points - offset[held]
+        lower = np.tile(self.parameters.lower, (count, 1))
+        upper = np.tile(self.parameters.upper, (count, 1))
+        lower[:, held] = points
         upper[:, held] = lower[:, held]
         problems, penalty = stacked([(self._problem, self._penalty)] * count)
-        start = np.array(starts) - offset
+        start = np.array(starts)
         tasks = Tasks(problems, start, lower, upper, self.parameters.typical, penalty)
         solutions = unstacked(minimize_many(self.model, tasks, FEW))
         return [
@@ -108,7 +106,7 @@ class Refit:
         half_gradient = half_gradient + self._penalty.quadratic(values)[1]
         return Optimum(
             chi_squared=float(solution.objective),
-            values=values + self._offset,
+            values=values,
             gradient=2 * half_gradient,
             finished=bool(solution.success),
         )

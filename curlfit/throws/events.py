@@ -145,8 +145,8 @@ def lines_of(events: Sequence[Event]) -> list[float]:
     )
 
 
-def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
-    """The events as padded arrays, with y relative to `y0`.
+def event_arrays(events: Sequence[Event]) -> EventArrays:
+    """The events as padded arrays.
 
     Raises
     ------
@@ -171,9 +171,9 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
         ] += 1
         if event.since is not None:
             weights[row, of_line[q] + lines.index(event.since)] -= 1
-    padded = np.full(MOST_LINES, lines[-1] if lines else y0)
+    padded = np.full(MOST_LINES, lines[-1] if lines else 0.0)
     padded[: len(lines)] = lines
-    return EventArrays(padded - y0, weights)
+    return EventArrays(padded, weights)
 
 
 def along_path(

@@ -405,21 +405,23 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
 
     law = result.law_class
     ready = PreparedThrow.of(throw, Modelling.of(throw.settings, law=law))
-    local, offset = ready.local_parameters, ready.offset
-    problem = build_problem(ready.throw, ready.stone, ready.origin, result.sigma)
+    parameters = ready.parameters
+    problem = build_problem(ready.throw, ready.stone, result.sigma)
     walkers, steps = 64, 8000
     random = np.random.default_rng(0)
     # It begins among our draws, so that no time is lost on finding them.
-    first = random.permutation(chain.flat)[:walkers] - offset
-    nothing = Penalty.none(len(local))
+    first = random.permutation(chain.flat)[:walkers]
+    nothing = Penalty.none(len(parameters))
 
     def log_prob(values: Any) -> Any:
         model = Model(law, "uniform")
         return np.asarray(
-            log_posterior(model, values, local.lower, local.upper, problem, nothing)
+            log_posterior(
+                model, values, parameters.lower, parameters.upper, problem, nothing
+            )
         )
 
-    stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
+    stock = emcee.EnsembleSampler(walkers, len(parameters), log_prob, vectorize=True)
     begin = time.perf_counter()
     stock.run_mcmc(first, steps)
     taken = time.perf_counter() - begin
@@ -430,18 +432,18 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     row(f"{name}: curlfit sample", f"{ours:.0f} effective samples/s", ours / peer)
 
     levels = np.array([0.025, 0.16, 0.5, 0.84, 0.975])
-    quantiles = np.quantile(draws.reshape(-1, len(local)) + offset, levels, axis=0)
+    quantiles = np.quantile(draws.reshape(-1, len(parameters)), levels, axis=0)
     shares = (chain.flat[:, None] < quantiles).mean(0)
     error = np.sqrt(levels * (1 - levels) * (1 / effective + 1 / theirs))
     off = float(np.abs((shares - levels[:, None]) / error[:, None]).max())
     row(f"{name}: quantiles differ by at most", f"{off:.1f} Monte Carlo errors", "")
     if nuts:
-        speed = _nuts(law, problem, local, result.values - offset)
+        speed = _nuts(law, problem, parameters, result.values)
         row(f"{name}: numpyro, NUTS", f"{speed:.2f} effective samples/s", speed / peer)
         row(f"{name}: curlfit over NUTS", "", ours / speed)
 
 
-def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
+def _nuts(law: Any, problem: Any, parameters: Any, centre: Any) -> float:
     """Least effective samples a second of NUTS on the same likelihood and priors."""
     import jax
     import numpyro
@@ -452,8 +454,9 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
     from curlfit.inference.likelihood import log_likelihood
     from curlfit.inference.model import Model
 
-    scale = local.typical * 1e-3
-    low, high = (local.lower - centre) / scale, (local.upper - centre) / scale
+    scale = parameters.typical * 1e-3
+    low = (parameters.lower - centre) / scale
+    high = (parameters.upper - centre) / scale
     bounded = np.isfinite(low) & np.isfinite(high)
 
     def model() -> None:

@@ -122,13 +122,13 @@ def test_the_prior_of_one_coefficient_against_quadrature(
     throw = few.throw.with_sigma(dict.fromkeys(("x", "y", "phi"), sigma))
     fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
     one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
-    problem, origin = problem_of(one)
+    problem = problem_of(one)
     value = one["mu1_eta"].value
     stderr = one["mu1_eta"].stderr
     low = max(value - 8 * stderr, density.ppf(1e-7), 0.0)
     high = min(value + 40 * stderr, density.ppf(1 - 1e-7))
     values = np.linspace(low, high, 64)
-    points = np.tile(one.values - origin.offset(len(one.values)), (len(values), 1))
+    points = np.tile(one.values, (len(values), 1))
     points[:, list(one.parameters).index("mu1_eta")] = values
     chi_squared = chi_squared_of_many(
         one.model, points, stacked([problem] * len(values)), BATCH

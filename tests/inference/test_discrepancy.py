@@ -130,7 +130,7 @@ def dense(fit):
 
 def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
     fit = wrong_law
-    problem, _ = problem_of(fit)
+    problem = problem_of(fit)
     covariance, *_ = dense(fit)
     n, weight = len(TIMES), np.asarray(problem.weight)
     residual = np.random.default_rng(0).standard_normal(weight.shape)

@@ -95,6 +95,34 @@ def test_mirrored_and_shifted_throws_give_the_same_coefficients(eq12, eq12_fit):
         assert gap == pytest.approx(by, abs=1e-5)
 
 
+def test_a_map_grid_and_the_clock_of_a_computer_cost_no_precision():
+    throw = filmed(seed=1)
+    east, north, now, turned = 5e5, 5.4e6, 1.7e9, 2e3
+    far = replace(
+        throw,
+        t=throw.t + now,
+        x=throw.x + east,
+        y=throw.y + north,
+        phi=throw.phi + turned,
+    )
+    near = fit(throw)
+    moved = fit(far)
+    by = {"x0": east, "y0": north, "phi0": turned}
+    for name, expected in near.parameters.items():
+        item = moved.parameters[name]
+        assert item.verdict == expected.verdict
+        gap = item.value - expected.value - by.get(name, 0.0)
+        error = expected.stderr or expected.typical
+        assert abs(gap) < 1e-3 * error
+        if expected.stderr is not None:
+            assert item.stderr == pytest.approx(expected.stderr, rel=1e-4)
+    for name in ("x", "y", "phi"):
+        assert moved.rms[name] == pytest.approx(near.rms[name], rel=1e-4)
+    assert moved.quantities["turns"].value == pytest.approx(
+        near.quantities["turns"].value, abs=1e-8
+    )
+
+
 def test_gaps():
     throw = filmed(seed=1)
     x, phi = throw.x.copy(), throw.phi.copy()

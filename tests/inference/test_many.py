@@ -11,7 +11,7 @@ from curlfit import LAWS, Stone
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.model import Model
-from curlfit.inference.problem import Origin, build_problem
+from curlfit.inference.problem import build_problem
 from curlfit.numerics.batches import BATCH, stacked
 
 
@@ -72,9 +72,7 @@ def test_paths_side_by_side_are_those_of_single_throws():
     t = np.arange(60) * 0.25
     path = curlfit.simulate(law(), stone, start, t).to_numpy()
     throw = curlfit.Throw.from_arrays(t, path.x, path.y, path.phi)
-    problem = build_problem(
-        throw, stone, Origin.of(throw), dict.fromkeys(("x", "y", "phi"), 1.0)
-    )
+    problem = build_problem(throw, stone, dict.fromkeys(("x", "y", "phi"), 1.0))
     defaults = [item.default for item in law.coefficients()]
     values = np.array([*defaults, 0.0, 0.0, 0.0, 2.1, 0.0, -2.6])
     residual, _ = linearize(

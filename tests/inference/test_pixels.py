@@ -104,7 +104,7 @@ def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
         assert fit.data.sigma[name] == "estimated"
     fit.save(tmp_path / "fit.json")
     saved = load_fit(tmp_path / "fit.json")
-    problem, again = problem_of(fit)[0], problem_of(saved)[0]
+    problem, again = problem_of(fit), problem_of(saved)
     np.testing.assert_allclose(again.weight, problem.weight)
     np.testing.assert_allclose(problem.weight[1, :9], 1 / fit.observed["sigma_y"][:9])
 

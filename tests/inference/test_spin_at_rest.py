@@ -104,12 +104,12 @@ def test_chi_squared_is_continuous_where_the_rest_passes_rows(fit):
     """The initial speed moves the rest by a second, over ten rows. Of steps half as
     long the largest changes of the spin's chi squared are half as large; with the spin
     at the time of the row, a jump stays."""
-    problem, origin = problem_of(fit)
+    problem = problem_of(fit)
     weight = np.zeros_like(problem.weight)
     weight[CHANNELS.index("omega")] = problem.weight[CHANNELS.index("omega")]
     problem = problem._replace(weight=weight)
     speeds = fit["v0"].value + np.linspace(-0.03, 0.03, 1025)
-    values = np.tile(fit.values - origin.offset(len(fit.values)), (len(speeds), 1))
+    values = np.tile(fit.values, (len(speeds), 1))
     values[:, fit.parameter_set.index("v0")] = speeds
 
     def largest_changes(problem):
@@ -164,10 +164,9 @@ def test_laws_of_the_whole_stone_converge(law, log):
 def searched_again(fit):
     """The problem of a fit as one of many, its optimum from the values of the fit, and
     starts with the rest in other rows."""
-    problem, origin = problem_of(fit)
-    values = fit.values - origin.offset(len(fit.values))
-    known = fit.parameter_set.shifted(-origin.offset(len(values)))
-    tasks = Tasks.of([(known, problem, values)])
+    problem = problem_of(fit)
+    known = fit.parameter_set
+    tasks = Tasks.of([(known, problem, fit.values)])
     (best,) = unstacked(minimize_many(fit.model, tasks, 1))
     bounds = known.lower, known.upper
     starts = starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
@@ -179,8 +178,7 @@ def test_from_a_minimum_in_another_row_the_search_goes_on():
     in which the starts with the rest in other rows end; none is lower."""
     fit = curlfit.fit(load(2), LAW, details=False)
     tasks, best, starts = searched_again(fit)
-    (values,) = tasks.start
-    rests = [rest_of(one + fit.values - values) for one in starts]
+    rests = [rest_of(start) for start in starts]
     rest = rest_of(fit.values)
     rows = np.array([-8, -4, -2, -1, 1, 2, 4, 8])
     assert np.abs((rests - rest) / 0.1 - rows).max() < 1.0

@@ -20,7 +20,7 @@ from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.least_squares import Tasks, solve
 from curlfit.inference.likelihood import predict_channels, predict_many
 from curlfit.inference.model import Model
-from curlfit.inference.problem import Origin, build_problem
+from curlfit.inference.problem import build_problem
 from curlfit.numerics.batches import stacked
 from curlfit.prediction.report import describe_rest
 from curlfit.settings.choices import Fitting
@@ -91,7 +91,7 @@ def vector(mu, heading, v, omega=0.0):
 @pytest.fixture(scope="module")
 def problem():
     throw = Throw.from_events(EVENTS)
-    return build_problem(throw, Stone(), Origin.of(throw), {})
+    return build_problem(throw, Stone(), {})
 
 
 def predicted(problem, values):

@@ -16,7 +16,7 @@ from curlfit import InputError, UnusableFitError
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
-from curlfit.inference.problem import Origin, build_problem
+from curlfit.inference.problem import build_problem
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.numerics.batches import stacked
@@ -75,14 +75,13 @@ def scipy_minimum(fit, held):
     """Least chi squared with some parameters held, by scipy on the residuals
     of the model."""
     throw, parameters = fit.throw, fit.parameter_set
-    origin = Origin.of(throw)
-    problem = build_problem(throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss])
-    offset = origin.offset(len(parameters))
-    values = fit.values - offset
+    problem = build_problem(throw, fit.stone, fit.sigma, LOSSES[fit.loss])
+    values = fit.values.copy()
     for name, value in held.items():
-        values[parameters.index(name)] = value - offset[parameters.index(name)]
+        values[parameters.index(name)] = value
     free = parameters.free & [name not in held for name in parameters.names]
-    low, high = ((end - offset)[free] for end in (parameters.lower, parameters.upper))
+    low = parameters.lower[free]
+    high = parameters.upper[free]
 
     def residual(some):
         whole = values.copy()

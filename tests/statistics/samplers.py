@@ -81,16 +81,14 @@ def fitted(case: Case) -> curlfit.FitResult:
 
 def by_row(fit: curlfit.FitResult) -> Callable[[np.ndarray], np.ndarray]:
     """Log-likelihood of parameter vectors, shape (vectors, rows)."""
-    problem, origin = problem_of(fit)
+    problem = problem_of(fit)
     n = len(fit.observed["t"])
-    offset = origin.offset(len(fit.values))
-    measured = np.stack([fit.observed[name] for name in SIGMA]) - origin.place[:3, None]
+    measured = np.stack([fit.observed[name] for name in SIGMA])
     sigma = np.array(list(SIGMA.values()))[:, None]
 
     def found(vectors: np.ndarray) -> np.ndarray:
         paths = [
-            predict_channels(fit.model, one, problem)[:3, :n]
-            for one in vectors - offset
+            predict_channels(fit.model, values, problem)[:3, :n] for values in vectors
         ]
         return norm.logpdf(measured, np.array(paths), sigma).sum(1)
 

@@ -219,7 +219,7 @@ class _Measurements(NamedTuple):
 
     @classmethod
     def of(cls, fit: LeastSquaresFit, held: Collection[str]) -> Self:
-        parameters = fit.prepared.local_parameters
+        parameters = fit.prepared.parameters
         free = np.flatnonzero([name not in held for name in parameters.names])
         jacobian = _slopes_of_all_channels(fit, free)
         channels, rows, _ = jacobian.shape
@@ -276,7 +276,7 @@ class _Measurements(NamedTuple):
 def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
     """Derivatives of the path by some parameters, shape (channels, rows,
     parameters)."""
-    parameters = fit.prepared.local_parameters
+    parameters = fit.prepared.parameters
     rows = len(fit.prepared.throw)
 
     def path(values: Floats) -> Floats:

@@ -172,7 +172,7 @@ def change_of(fit: LeastSquaresFit) -> Change | None:
     if _gain(after, remainder, residuals.weight) > 2 * len(smooth):
         return None
     explained = (before**2 - after**2).reshape(residuals.weight.shape).sum(axis=1)
-    first = fit.prepared.origin.t
+    first = float(fit.prepared.throw.t[0])
     return Change(
         begin=first + float(surest.begins[index]),
         end=first + float(surest.ends[index]),

@@ -90,7 +90,7 @@ class Covariance:
 
         Parameters
         ----------
-        bounded : in the data's coordinates.
+        bounded : values and bounds of the parameters.
         factors : those of the search, and those whose normal equations are the
             estimator's, which differ under a robust loss.
         jacobian : of the weighted residuals, shape (channels, n, parameters).

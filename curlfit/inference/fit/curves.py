@@ -39,9 +39,7 @@ class CurveModel:
     def __init__(self, fit: FitResult) -> None:
         self.fit = fit
         self._model = fit.model
-        self._problem, origin = problem_of(fit)
-        self._offset = origin.offset(len(fit.parameters))
-        self._place = origin.place[:, None]
+        self._problem = problem_of(fit)
         observed = fit.observed["t"]
         # As many times as padded rows: the program for the data also
         # computes the curves.
@@ -50,7 +48,7 @@ class CurveModel:
         unweighted = np.zeros_like(self._problem.weight)
         self._at_rows = self._problem._replace(events=None)
         self._evenly = self._at_rows._replace(
-            times=self._t - origin.t, weight=unweighted
+            times=self._t - observed[0], weight=unweighted
         )
         if self._problem.spins is not None:  # those of other rows
             unmeasured = self._problem.spins._replace(interval=np.zeros(()))
@@ -58,19 +56,17 @@ class CurveModel:
 
     def at(self, values: Floats) -> Curves:
         """The curves at a parameter vector, in the order of the fit's parameters."""
-        local = np.asarray(values, float) - self._offset
-        path = predict_channels(self._model, local, self._evenly)
-        rows = predict_channels(self._model, local, self._at_rows)
+        values = np.asarray(values, float)
+        path = predict_channels(self._model, values, self._evenly)
+        rows = predict_channels(self._model, values, self._at_rows)
         (chi_squared,) = chi_squared_of_many(
-            self._model, local[None], stacked([self._problem]), batch=1
+            self._model, values[None], stacked([self._problem]), batch=1
         )
         number = len(self.fit.observed["t"])
-        computed = dict(
-            zip(CHANNELS, (np.asarray(rows) + self._place)[:, :number], strict=True)
-        )
+        computed = dict(zip(CHANNELS, np.asarray(rows)[:, :number], strict=True))
         return Curves(
             self._t,
-            dict(zip(CHANNELS, np.asarray(path) + self._place, strict=True)),
+            dict(zip(CHANNELS, np.asarray(path), strict=True)),
             {name: self.fit.observed[name] - computed[name] for name in self.fit.rms},
             float(chi_squared),
         )

@@ -189,7 +189,7 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
 
     Parameters
     ----------
-    bounded : values and bounds in the problem's coordinates.
+    bounded : values and bounds of the parameters.
     """
     probes = _probes_of_sums_elsewhere(covariance, bounded)
     for name, weights in covariance.identifiability.determined().items():
@@ -306,10 +306,8 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     """
     knows_spin = _knows_spin(covariance)
     stretched, lost = _stretched_and_lost(covariance, ridge, knows_spin=knows_spin)
-    offset = covariance.values - ridge.optimum.values
     intervals = {
-        covariance.names[index]: (low + offset[index], high + offset[index])
-        for index, (low, high) in ridge.intervals.items()
+        covariance.names[index]: ends for index, ends in ridge.intervals.items()
     }
     fall = -float(ridge.rises.min(initial=0.0))
     distance = covariance.distance
@@ -462,8 +460,7 @@ def _remedy(
             [other for other in wanted if other != name],
         )
         if errors:
-            offset = float(covariance.values[index] - ridge.optimum.values[index])
-            near = float(point.values[index]) + offset
+            near = float(point.values[index])
             return KnownCondition(name, UNITS.get(name, "1"), near, known_to, errors)
     return None
 

@@ -19,7 +19,7 @@ from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
     PreparedThrow,
-    local_bounds,
+    bounds_of,
     penalties,
 )
 from curlfit.inference.fit.quantities import quantities_of
@@ -41,7 +41,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
-from curlfit.inference.problem import Origin, problem_shape
+from curlfit.inference.problem import problem_shape
 from curlfit.losses import LOSSES, loss_at
 from curlfit.noises import Noise
 from curlfit.numerics.arrays import Floats
@@ -141,9 +141,7 @@ def refit(fit: FitResult, noise: Noise) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw = fit.throw
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
-    prepared = PreparedThrow(
-        throw, fit.stone, rows, fit.data.swept, fit.parameter_set, Origin.of(throw)
-    )
+    prepared = PreparedThrow(throw, fit.stone, rows, fit.data.swept, fit.parameter_set)
     rounds = Rounds(fit.model, [prepared], loss=LOSSES[fit.loss], noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
 
@@ -171,9 +169,9 @@ def fitted(
     if rounds.batch == 1:
         # Programs are compiled while the initial values are computed.
         (problem,) = unstacked(rounds.problems)
-        prepare_minimize(model, throws[0].local_parameters, problem)
+        prepare_minimize(model, throws[0].parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
-    _, lower, upper = local_bounds(throws)
+    lower, upper = bounds_of(throws)
     paths, sides = rounds.starts()
     # Rounds revise these problems in place.
     tasks = Tasks(

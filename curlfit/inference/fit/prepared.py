@@ -1,4 +1,4 @@
-"""A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
+"""A throw prepared for a fit: rows selected, with its stone and parameters."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.priors import Penalty, penalty_of
-from curlfit.inference.problem import Origin, Problem, build_problem
+from curlfit.inference.priors import Penalty
+from curlfit.inference.problem import Problem, build_problem
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES, Loss
 from curlfit.noises import WHITE, Noise
@@ -36,8 +36,7 @@ _HELD = 1e-4  # standard deviation that holds a parameter, over that of its prio
 
 
 class PreparedThrow(NamedTuple):
-    """A throw prepared for a fit: rows selected, with its stone,
-    parameters and origin."""
+    """A throw prepared for a fit: rows selected, with its stone and parameters."""
 
     throw: Throw
     stone: Stone
@@ -45,7 +44,6 @@ class PreparedThrow(NamedTuple):
     """`since`, `until` and `exclude`, as `Throw.select_rows` takes them"""
     swept: tuple[float, float] | None
     parameters: ParameterSet
-    origin: Origin
     findings: tuple[Finding, ...] = ()
     """what is unusual about the throw"""
     flags: tuple[str, ...] = ()
@@ -80,7 +78,6 @@ class PreparedThrow(NamedTuple):
             rows=chosen.rows,
             swept=chosen.swept,
             parameters=parameters,
-            origin=Origin.of(throw),
             findings=findings,
             flags=flags,
         )
@@ -98,18 +95,8 @@ class PreparedThrow(NamedTuple):
         held_at_zero = self.parameters.fixed.get("omega0") == 0.0
         return held_at_zero and self.throw.assumed.get("omega0") == 0.0
 
-    @property
-    def offset(self) -> Floats:
-        """From the problem's coordinates to the data's."""
-        return self.origin.offset(len(self.parameters))
-
-    @property
-    def local_parameters(self) -> ParameterSet:
-        """The parameters in the problem's coordinates."""
-        return self.parameters.shifted(-self.offset)
-
     def penalty(self, *, first: bool) -> Penalty:
-        """What the priors add to chi squared, in the problem's coordinates.
+        """What the priors add to chi squared.
 
         The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is
         given. Priors would outweigh the data there, and the misfit that they cause
@@ -117,9 +104,7 @@ class PreparedThrow(NamedTuple):
         constants and the scales, which a path hardly determines, are held near the
         modes of their priors.
         """
-        penalty = penalty_of(
-            self.parameters.parameters, self.parameters.priors, self.offset
-        )
+        penalty = self.parameters.penalty
         if not (first and self.equal_sigma()):
             return penalty
         held = np.isin(self.parameters.names, WEAK_CONDITIONS)
@@ -133,16 +118,14 @@ class PreparedThrow(NamedTuple):
         return dict.fromkeys(unknown, equal)
 
     def with_start(self, values: Floats, start: Mapping[str, float] | None) -> Floats:
-        """Initial values in the problem's coordinates, with those that
-        the user gives."""
+        """Initial values, with those that the user gives."""
         if not start:
             return values
         self.parameters.require("start", start)
-        absolute = values + self.offset
+        values = values.copy()
         for name, value in start.items():
-            absolute[self.parameters.index(name)] = value
-        within = np.clip(absolute, self.parameters.lower, self.parameters.upper)
-        return within - self.offset
+            values[self.parameters.index(name)] = value
+        return np.clip(values, self.parameters.lower, self.parameters.upper)
 
 
 class LeastSquaresFit(NamedTuple):
@@ -162,59 +145,57 @@ class LeastSquaresFit(NamedTuple):
     """another optimum that fits as well"""
 
 
-def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
-    """The problem that a fit solved, with its noise and loss, and its origin."""
-    throw = fit.throw
-    origin = Origin.of(throw)
+def problem_of(fit: FitResult) -> Problem:
+    """The problem that a fit solved, with its noise and loss."""
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss], fit.data.swept
+        fit.throw, fit.stone, fit.sigma, LOSSES[fit.loss], fit.data.swept
     )
     data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
     whitener = Whitener.of(
         fit.noise, problem.times, problem.weight, len(fit.values), data
     )
-    return problem._replace(whitener=whitener), origin
+    return problem._replace(whitener=whitener)
 
 
 def linearized_fit(fit: FitResult) -> Linearized:
     """The fitted path to first order, with the weights of independent noise."""
     independent = fit.sigma | fit.noise.independent
-    problem, origin = problem_of(replace(fit, sigma=independent, noise=WHITE))
-    path = np.array([fit.fitted[name] for name in CHANNELS]) - origin.place[:, None]
+    problem = problem_of(replace(fit, sigma=independent, noise=WHITE))
+    path = np.array([fit.fitted[name] for name in CHANNELS])
     if fit.events:
         # one more row, with a column for each event
         row = np.zeros((1, path.shape[1]))
         for column, event in enumerate(fit.events):
-            row[0, column] = event.fitted - origin.of_event(event.event)
+            off = event.fitted - event.event.value
+            row[0, column] = problem.observed[-1, column] + off
         path = np.concatenate([path, row])
     verdicts = [estimate.verdict for estimate in fit.parameters.values()]
     adjustable = np.array(
         [verdict not in (Verdict.FIXED, Verdict.AT_BOUND) for verdict in verdicts]
     )
-    values = fit.values - origin.offset(len(fit.values))
     typical = fit.parameter_set.typical
-    return linearized(fit.model, problem, values, path, fit.stone, typical, adjustable)
+    return linearized(
+        fit.model, problem, fit.values, path, fit.stone, typical, adjustable
+    )
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty:
-    """What the priors of each throw add to its chi squared, in the problems'
-    coordinates: see `PreparedThrow.penalty`."""
+    """What the priors of each throw add to its chi squared: see
+    `PreparedThrow.penalty`."""
     return stacked([throw.penalty(first=first) for throw in throws])
 
 
-def local_bounds(
+def bounds_of(
     throws: Sequence[PreparedThrow], common: Booleans | None = None
-) -> tuple[Floats, Floats, Floats]:
-    """Offsets of many throws from the problems' coordinates to the data's, bounds in
-    the former; each of shape (throws, parameters). Bounds of parameters in `common`
-    hold for all throws."""
-    offset = np.stack([throw.offset for throw in throws])
-    lower = np.stack([throw.parameters.lower for throw in throws]) - offset
-    upper = np.stack([throw.parameters.upper for throw in throws]) - offset
+) -> tuple[Floats, Floats]:
+    """Lower and upper bounds of many throws, each of shape (throws, parameters). Those
+    of parameters in `common` hold for all throws."""
+    lower = np.stack([throw.parameters.lower for throw in throws])
+    upper = np.stack([throw.parameters.upper for throw in throws])
     if common is not None:
         lower[:, common] = lower[:, common].max(axis=0)
         upper[:, common] = upper[:, common].min(axis=0)
-    return offset, lower, upper
+    return lower, upper
 
 
 def linearized(
@@ -230,9 +211,9 @@ def linearized(
 
     Parameters
     ----------
-    values : of the parameters, in the coordinates of the problem.
-    path : the fitted path in these coordinates, shape (5 or 6, n), of at least the rows
-        that are not padding.
+    values : of the parameters.
+    path : the fitted path, shape (5 or 6, n), of at least the rows that are not
+        padding.
     typical : sizes of the parameters.
     adjustable : which parameters are neither fixed nor at a bound.
     """

@@ -103,30 +103,28 @@ class _Path:
     def __init__(self, fit: FitResult) -> None:
         self._model = fit.model
         self._heading = list(fit.parameters).index("heading")
-        problem, origin = problem_of(fit)
-        self._offset = origin.offset(len(fit.parameters))
-        self._place = origin.place
+        problem = problem_of(fit)
         # As many rows as the fit had, so that no other program is compiled.
-        times = np.linspace(0.0, fit.observed["t"][-1] - origin.t, len(problem.times))
+        times = np.linspace(0.0, problem.times[-1], len(problem.times))
         rests = fit.fitted["speed"][-1] <= 0
         rest = Event("rest", "time", 0.0, 1.0)
         self._problem = problem._replace(
             times=times,
             weight=np.zeros_like(problem.weight),
-            events=event_arrays([rest], 0.0) if rests else None,
+            events=event_arrays([rest]) if rests else None,
         )
 
     def at(self, values: Floats, off: Mapping[str, float] | None = None) -> _Motion:
-        """The path of a parameter vector where conditions are off by so much, in the
-        coordinates of the data; all times are on the true clock."""
+        """The path of a parameter vector where conditions are off by so much; all times
+        are on the true clock."""
         problem = self._problem
         for condition, by in (off or {}).items():
             # a change of `time_scale` moves the rows, and the time of rest is true
             problem = with_condition_off(problem, condition, by)._replace(
                 events=problem.events
             )
-        path = np.asarray(predict_channels(self._model, values - self._offset, problem))
-        x, y, phi, speed, _ = path[:5] + self._place[:, None]
+        path = np.asarray(predict_channels(self._model, values, problem))
+        x, y, phi, speed, _ = path[:5]
         # The only event, in the row after the channels, is the rest.
         rest = math.inf if problem.events is None else float(path[5, 0])
         heading = float(values[self._heading])

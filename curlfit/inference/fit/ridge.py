@@ -105,7 +105,6 @@ class Ridge(NamedTuple):
 
     optimum: Point
     points: tuple[Point, ...]
-    """in the coordinates of the problem"""
     rises: Floats
     """of chi squared from the optimum, at most `HIGHEST`, shape (points,)"""
     intervals: dict[int, tuple[float, float]]

@@ -28,8 +28,8 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
     PreparedThrow,
+    bounds_of,
     linearized,
-    local_bounds,
 )
 from curlfit.inference.initial_values import (
     SmoothPath,
@@ -150,7 +150,7 @@ class Rounds:
         none tells the size of coefficients, but no exponent and no sign: without
         friction a stone would never rest."""
         paths = smooth(self.initial_problems)
-        _, lower, upper = local_bounds(self.throws)
+        lower, upper = bounds_of(self.throws)
         rough = np.array([not prepared.throw.has_path for prepared in self.throws])
         for index, coefficient in enumerate(self.model.law.coefficients()):
             usual = default_guess(coefficient)
@@ -309,7 +309,7 @@ class Rounds:
     ) -> Linearized:
         """A fit with white noise to first order."""
         prepared = self.throws[throw]
-        _, lower, upper = local_bounds([prepared])
+        lower, upper = bounds_of([prepared])
         adjustable = (lower[0] < solution.values) & (solution.values < upper[0])
         typical = prepared.parameters.typical
         rows = len(prepared.throw)
@@ -370,7 +370,6 @@ def _problems(
         build_problem(
             throw,
             of_throw.stone,
-            of_throw.origin,
             sigma,
             swept=of_throw.swept,
             shape=shape,

@@ -38,8 +38,8 @@ from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
     PreparedThrow,
+    bounds_of,
     linearized,
-    local_bounds,
     penalties,
 )
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
@@ -161,9 +161,7 @@ class _Many(NamedTuple):
     throws: list[PreparedThrow]
     problems: Problem
     solutions: Solution
-    offset: Floats
     bounded: Bounded
-    """in the problems' coordinates"""
     typical: Floats
     penalty: Penalty
     common: Booleans | None
@@ -178,7 +176,7 @@ class _Many(NamedTuple):
     ) -> Self:
         throws = [fit.prepared for fit in fits]
         solutions = stacked([fit.solution for fit in fits])
-        offset, lower, upper = local_bounds(throws, common)
+        lower, upper = bounds_of(throws, common)
         penalty = penalties(throws)
         if others is not None:
             is_told = (others[..., :-1] != 0).any((0, 1))
@@ -190,7 +188,6 @@ class _Many(NamedTuple):
             throws=throws,
             problems=stacked([fit.problem for fit in fits]),
             solutions=solutions,
-            offset=offset,
             bounded=Bounded(solutions.values, lower, upper),
             typical=throws[0].parameters.typical,
             penalty=penalty,
@@ -225,10 +222,9 @@ class _Many(NamedTuple):
                 loss=self.loss,
                 total=count.sum(),
             )
-            in_data = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
             covariance = Covariance.of(
                 fit.prepared.parameters.names,
-                in_data,
+                Bounded(*(part[row] for part in self.bounded)),
                 self.typical,
                 (factors.at(row), estimator.at(row)),
                 fit.solution.jacobian,
@@ -497,8 +493,7 @@ def _record(
 
     Parameters
     ----------
-    path : the fitted path in the problem's coordinates, shape (channels, n); None
-        without curves.
+    path : the fitted path, shape (channels, n); None without curves.
     residual : measured - fitted, shape (channels, n).
     shifts : of the open parameters, by condition.
     widths : of these conditions.
@@ -511,7 +506,9 @@ def _record(
     residual = residual[:, : len(throw)]
     if path is not None:
         path = path[:, : len(throw)]
-    curves = _curves(fit, path)
+    curves = {}
+    if path is not None:
+        curves = dict(zip(CHANNELS, path[: len(CHANNELS)], strict=True))
     series = _by_channel(fit, residual)
     rms = {name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()}
     enough = {name: both for name, both in series.items() if len(both[0]) > _FEWEST}
@@ -607,7 +604,7 @@ def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult
 def _ridge_points(
     fit: LeastSquaresFit, departures: Departures
 ) -> tuple[RidgePoint, ...]:
-    """The ridge in the data's coordinates."""
+    """The points of the ridge, by the names of the parameters."""
     ridge = departures.ridge
     if ridge is None:
         return ()
@@ -615,18 +612,10 @@ def _ridge_points(
     points = []
     for point, rise in zip(ridge.points, ridge.rises.tolist(), strict=True):
         held = None if point.held is None else names[point.held]
-        values = (point.values + fit.prepared.offset).tolist()
+        values = tuple(point.values.tolist())
         slopes = tuple(tuple(row) for row in point.slopes.tolist())
-        points.append(RidgePoint(held, rise, tuple(values), slopes))
+        points.append(RidgePoint(held, rise, values, slopes))
     return tuple(points)
-
-
-def _curves(fit: LeastSquaresFit, path: Floats | None) -> dict[str, Floats]:
-    """The fitted path by channel, in the data's coordinates; empty without one."""
-    if path is None:
-        return {}
-    in_data = path[: len(CHANNELS)] + fit.prepared.origin.place[:, None]
-    return dict(zip(CHANNELS, in_data, strict=True))
 
 
 def _by_channel(
@@ -777,7 +766,7 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
         return {}
     parameters = fit.prepared.parameters
     apart = np.abs(fit.rival.values - fit.solution.values)
-    values = parameters.values_of(fit.rival.values + fit.prepared.offset)
+    values = parameters.values_of(fit.rival.values)
     different = parameters.names_where(apart > _DIFFERENT * parameters.typical)
     return {name: values[name] for name in different}
 

@@ -85,9 +85,8 @@ def widths_of(
 
 
 def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
-    """Independent errors of the calibration of each throw, in the problems'
-    coordinates, shape (throws, errors, 3, 3), with zeros where a throw does
-    not have one.
+    """Independent errors of the calibration of each throw, shape (throws, errors, 3,
+    3), with zeros where a throw does not have one.
 
     Throws that are fitted `jointly` share the errors of a calibration, and each of
     several calibrations has its own.
@@ -112,12 +111,8 @@ def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> 
     for row, calibration in enumerate(by_throw):
         if calibration is None:
             continue
-        to_problem = np.eye(3)
-        to_problem[:2, 2] = -throws[row].origin.place[:2]
         first = most * numbers[row]
-        errors[row, first : first + len(calibration)] = (
-            to_problem @ calibration @ np.linalg.inv(to_problem)
-        )
+        errors[row, first : first + len(calibration)] = calibration
     return errors
 
 

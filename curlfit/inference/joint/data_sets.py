@@ -30,7 +30,7 @@ from curlfit.inference.fit.departures import (
 )
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.prepared import PreparedThrow, bounds_of
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import (
@@ -185,7 +185,7 @@ class LawOnSets:
             else np.zeros((1, len(parameters.names)))
         )
         start = start[every]
-        lower, upper = (end[every] for end in local_bounds(prepared, self.common)[1:])
+        lower, upper = (end[every] for end in bounds_of(prepared, self.common))
         self.speed = list(parameters.names).index("v0")
         start[self.throws :, self.common] = [
             default_guess(item) for item in law.coefficients()

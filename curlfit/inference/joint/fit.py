@@ -19,7 +19,7 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import (
     PreparedThrow,
-    local_bounds,
+    bounds_of,
     penalties,
 )
 from curlfit.inference.fit.quantities import quantities_of
@@ -224,7 +224,7 @@ def solved_together(
     tasks = Tasks(
         rounds.problems,
         np.stack(starts),
-        *local_bounds(prepared, common)[1:],
+        *bounds_of(prepared, common),
         parameters.typical,
         penalties(prepared, first=True),
     )

@@ -15,9 +15,9 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.whitening import whitened
-from curlfit.inference.problem import ROWS_OF_DATA, Origin, Problem
+from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.losses import LOSSES, Loss
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import optional
 from curlfit.version import __version__
 
@@ -102,7 +102,7 @@ def _of_data(
     fit: FitResult, flat: Floats, index: dict[str, Any], random: np.random.Generator
 ) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Variables and coordinates of the groups about the data, by channel."""
-    problem, origin = problem_of(fit)
+    problem = problem_of(fit)
     seen = np.asarray(problem.weight) > 0
     rows, _ = np.nonzero(seen)
     names, times = {}, {"time": fit.observed["t"]}
@@ -131,11 +131,12 @@ def _of_data(
     paths = np.array(
         [
             np.asarray(predict_channels(fit.model, values, problem))[: len(seen)][seen]
-            for values in flat.reshape(-1, size) - origin.offset(size)
+            for values in flat.reshape(-1, size)
         ]
     )
-    place, sigma = _places(fit, origin, seen), 1 / problem.weight[seen]
-    mean, values = paths + place, problem.observed[seen] + place
+    sigma = 1 / problem.weight[seen]
+    values = _measured(fit, problem)[seen]
+    mean = values + paths - problem.observed[seen]
     noise = whitening_matrix(problem)
     loss = LOSSES[fit.loss]
     replicated = mean + sigma * draw_noise(random, mean.shape, noise, loss)
@@ -151,13 +152,12 @@ def _of_data(
     }
 
 
-def _places(fit: FitResult, origin: Origin, seen: Booleans) -> Floats:
-    """The origins of observed values."""
-    place = np.zeros(seen.shape)
-    place[: len(origin.place)] = origin.place[: len(place), None]
-    events = [origin.of_event(event.event) for event in fit.events]
-    place[len(origin.place) :, : len(events)] = events
-    return place[seen]
+def _measured(fit: FitResult, problem: Problem) -> Floats:
+    """The data of a problem, with times of events on the clock of the data."""
+    values = np.array(problem.observed)
+    for column, event in enumerate(fit.events):
+        values[-1, column] = event.event.value
+    return values
 
 
 def whitening_matrix(problem: Problem) -> Floats | None:

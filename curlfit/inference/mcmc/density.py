@@ -20,7 +20,7 @@ class PosteriorDensity:
     Attributes
     ----------
     names, free : of all parameters, and which of them may vary.
-    lower, upper : bounds of those, in the data's coordinates.
+    lower, upper : bounds of those.
     batch : number of vectors that are evaluated side by side.
     """
 
@@ -32,7 +32,7 @@ class PosteriorDensity:
 
     def __init__(self, fit: FitResult) -> None:
         parameters = fit.parameter_set
-        problem, origin = problem_of(fit)
+        problem = problem_of(fit)
         self.names = parameters.names
         self.free = parameters.free
         self.lower = parameters.lower[self.free]
@@ -40,9 +40,7 @@ class PosteriorDensity:
         self.batch = lanes(self.free)
         self._estimates = fit.values
         self._model = fit.model
-        self._offset = origin.offset(len(parameters))
-        local = parameters.shifted(-self._offset)
-        self._about = local.lower, local.upper, problem, local.penalty
+        self._about = parameters.lower, parameters.upper, problem, parameters.penalty
 
     def whole(self, free_values: Floats) -> Floats:
         """Values of all parameters, those that are held at their own.
@@ -62,7 +60,7 @@ class PosteriorDensity:
         def of(values: Floats) -> Any:
             return log_posterior(self._model, values, *self._about)
 
-        values = self.whole(free_values) - self._offset
+        values = self.whole(free_values)
         return np.asarray(in_batches(of, (values,), self.batch))
 
 

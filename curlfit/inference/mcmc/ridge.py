@@ -349,22 +349,22 @@ def posterior_proposal(fit: FitResult) -> Proposal:
 
 def _along(fit: FitResult, axis: Axis) -> Proposal:
     """The proposal along an axis."""
-    whole, (problem, origin) = fit.parameter_set, problem_of(fit)
-    offset, place = origin.offset(len(whole)), whole.index(axis.name)
-    local = whole.shifted(-offset)
+    parameters = fit.parameter_set
+    problem = problem_of(fit)
+    place = parameters.index(axis.name)
     borders = np.linspace(axis.low, axis.high, _CELLS + 1)
     middle = (borders[:-1] + borders[1:]) / 2
     nearest = np.abs(axis.starts[:, place] - middle[:, None]).argmin(1)
-    starts = axis.starts[nearest] - offset
+    starts = axis.starts[nearest]
     for _ in range(_PASSES):
-        held = (borders[:-1] + borders[1:]) / 2 - offset[place]
+        held = (borders[:-1] + borders[1:]) / 2
         tasks = [
-            (local.with_fixed(axis.name, value), problem, start)
+            (parameters.with_fixed(axis.name, value), problem, start)
             for value, start in zip(held, starts, strict=True)
         ]
         optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
         parts = [
-            _about_solution(whole, offset, optimum, (place, low, high))
+            _about_solution(parameters, optimum, (place, low, high))
             for optimum, (low, high) in zip(
                 unstacked(optima), pairwise(borders), strict=True
             )
@@ -382,13 +382,15 @@ def _along(fit: FitResult, axis: Axis) -> Proposal:
         dense = np.pad(shares / width, 1)
         dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width * exists
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
-        proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
+        proposal = CurvedRidge(
+            parts, shares, int(parameters.free[:place].sum()), borders
+        )
         density = _desired_density(parts, shares, width)
-        bounds = whole.lower[place], whole.upper[place]
+        bounds = parameters.lower[place], parameters.upper[place]
         borders, density = _extended(borders, density, shares / width, bounds)
         below = np.cumsum([0.0, *density])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
-        middle = (borders[:-1] + borders[1:]) / 2 - offset[place]
+        middle = (borders[:-1] + borders[1:]) / 2
         starts = np.array(
             [np.interp(middle, held, column) for column in optima.values.T]
         ).T
@@ -449,7 +451,6 @@ def _desired_density(
 
 def _about_solution(
     parameters: ParameterSet,
-    offset: Floats,
     optimum: Solution,
     cell: tuple[int, float, float],
 ) -> RidgeProposal | None:
@@ -458,7 +459,8 @@ def _about_solution(
     move."""
     if not np.isfinite(optimum.objective):
         return None
-    free, values = parameters.free, optimum.values + offset
+    free = parameters.free
+    values = optimum.values
     jacobian = optimum.jacobian.reshape(-1, len(values))
     gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
     _, slope, square = parameters.penalty.quadratic(values)
