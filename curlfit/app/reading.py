@@ -122,7 +122,7 @@ def _one(
     """What was read of one throw: figures, what is odd, and why it cannot be fitted."""
     from curlfit.throws.figures import motion_figures
     from curlfit.throws.load import read
-    from curlfit.throws.plausibility import examine, require_motion, require_plausible
+    from curlfit.throws.plausibility import examine, require_motion
     from curlfit.throws.report import print_inspection
 
     throw = job.throw
@@ -136,11 +136,10 @@ def _one(
     )
     figures = motion_figures(throw) if throw.has_path else {}
     try:
-        require_motion(job.cut)
-        findings = examine(job.cut)
+        require_motion(job.rows)
+        findings = examine(job.rows)
         oddities = [finding for finding in findings if not finding.is_refusal]
-        require_plausible(job.cut)
-        _ = job.parameters
+        _ = job.request
     except CurlfitError as error:
         fault = str(error)
         options = error.options

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from curlfit.friction import Law, Load, NetLaw, find_law
 from curlfit.inference.parameters import ParameterSet
-from curlfit.options.settings import checked_parameters
+from curlfit.inference.request import parameters_of_any
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, OneOf, option
 from curlfit.throws.load import check_reading
@@ -55,7 +55,7 @@ class BatchSettings(Fitting, Reading):
     def parameter_set(self) -> ParameterSet:
         """Parameters of each throw's fit. Raises InputError for a choice that
         cannot be used."""
-        return checked_parameters(self, others_swept=self.any_swept)
+        return parameters_of_any(self, others_swept=self.any_swept)
 
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Free coefficients of which only the sum enters the motion, by the sum as it

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.result import JointResult
     from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.request import Request
 
 
 _BY_THROW = ("since", "until", "exclude", "stone", "sigma", "swept")
@@ -178,10 +179,10 @@ def _fit_one(
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import claim_folder
 
-    job.require_usable()
+    request = job.request
     folder = output.out or usual
     seed = job.seed if sampling.seed is None else sampling.seed
-    saved = _saved_fit(folder, job) if sampling.resume else None
+    saved = _saved_fit(folder, request) if sampling.resume else None
     if saved is not None:
         seed = _seed_of_chain(folder, saved, seed)
     folder = claim_folder(folder)
@@ -196,14 +197,17 @@ def _fit_one(
     drawn.draw_beside()
     if saved is None:
         with output.status(f"Fitting {COMPILES}"):
+            from curlfit.inference.fit.fit import fit_request
+            from curlfit.inference.fit.rounds import first_problem
+
             if not sampling.no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling
 
                 # its program is compiled beside those of the fit
-                prepare_sampling(*job.problem())
-            result = job.fit()
+                prepare_sampling(*first_problem(request))
+            result = fit_request(request)
     else:
-        result = saved.with_derived(job.chosen.derive)
+        result = saved.with_derived(request.derive)
     if not sampling.no_sample:
         # so it is kept on disk meanwhile
         result = replace(result, posterior=None, sampling="unfinished")
@@ -248,26 +252,23 @@ def _fit_one(
     return _with_status(verb_result, result)
 
 
-def _saved_fit(folder: Path, job: s.ConfiguredThrow[Fitting]) -> FitResult | None:
+def _saved_fit(folder: Path, request: Request) -> FitResult | None:
     """The fit that was saved in a folder, if any, to be resumed. Raises `InputError` if
     it is of another problem."""
     if not (folder / "fit.json").exists():
         return None
-    from curlfit.friction import find_law
     from curlfit.inference.fit.result import load_fit
     from curlfit.inference.mcmc import chain
-    from curlfit.stone import Stone
 
     saved = load_fit(folder)
-    chosen = job.chosen
     subject = chain.subject_of_fit(
-        job.cut.condensed(),
-        find_law(chosen.law),
-        chosen.load.value,
-        Stone().with_values(dict(chosen.stone)),
-        job.parameters,
-        chosen.loss.name,
-        chosen.noise.kind,
+        request.throw,
+        request.law,
+        request.load.value,
+        request.stone,
+        request.parameters,
+        request.loss.name,
+        request.noise.kind,
     )
     chain.require_same(chain.subject_of_saved(saved), subject, folder / "fit.json")
     return saved
@@ -350,8 +351,8 @@ def _fit_jointly(
     """Fit several throws, by the names of their folders, jointly and print the report;
     write `joint.json`, figures, single fits."""
     from curlfit.friction import find_law
+    from curlfit.inference.joint.request import JointRequest
     from curlfit.output.files import claim_folder
-    from curlfit.throws.plausibility import require_plausible
 
     drawn = output.drawn()
     jobs = list(job_by_name.values())
@@ -362,30 +363,29 @@ def _fit_jointly(
         share = "all"
     else:
         _require_coefficients(together.share, find_law(chosen.law))
-    any_swept = any(job.chosen.swept is not None for job in jobs)
-    for job in jobs:
-        require_plausible(job.cut)
-        s.checked_parameters(job.chosen, job.cut, others_swept=any_swept)
     throws = []
     for job in jobs:
         of_throw = {key: getattr(job.chosen, key) for key in _BY_THROW}
         throws.append(job.throw.with_defaults(**of_throw))
     of_all = {key: value for key, value in chosen if key not in _BY_THROW}
+    request = JointRequest.of(
+        throws,
+        of_all,
+        share=share,
+        by=together.by,
+        trend=together.trend,
+        trend_by=together.trend_by,
+    )
     folder = claim_folder(output.out or usual)
     drawn.draw_beside()
 
     columns = (f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}")
     with progress_line(output.console(), *columns) as show:
-        from curlfit.inference.joint.fit import fit_together
+        from curlfit.inference.joint.fit import fit_joint_request
 
-        result = fit_together(
-            throws,
-            share=share,
-            by=together.by,
-            trend=together.trend,
-            trend_by=together.trend_by,
+        result = fit_joint_request(
+            request,
             seed=seed,
-            **of_all,
             progress=lambda step, chi_squared: show(
                 f"step {step}, chi squared {chi_squared:.6g}"
             ),

@@ -63,7 +63,7 @@ def check(
     from curlfit.output.console import terminal
     from curlfit.throws.friction_table import is_friction_table
     from curlfit.throws.load import read, rows_of_table, throw_of
-    from curlfit.throws.plausibility import examine, require_motion, require_plausible
+    from curlfit.throws.plausibility import examine, require_motion
     from curlfit.throws.report import print_findings, print_inspection
 
     if out is not None:
@@ -81,27 +81,26 @@ def check(
     job = s.apply_settings(
         throw_of(parsed, reading), configured, Modelling(**vars(rows))
     )
-    require_motion(job.cut)
+    require_motion(job.rows)
     if out is not None and not job.throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
     console = terminal(highlight=False)
     settings = {**job.throw.defaults, **configured, **rows.given()}
     print_inspection(parsed, job.throw, settings, console)
-    print_findings(examine(job.cut), console)
-    try:
-        _ = job.parameters
-    except DataError as refusal:
-        if len(job.cut) < FEWEST_ROWS:
-            raise
-        # the file can be read, though no fit is possible with these settings
-        console.print(f"\nNo fit as set: {refusal}", style="yellow")
+    print_findings(examine(job.rows), console)
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
 
         save_figure(throw_figure(job.throw), out)
         console.print(f"Written: {out}", soft_wrap=True)
-    require_plausible(job.cut)
+    try:
+        _ = job.request
+    except DataError as refusal:
+        if len(job.rows) < FEWEST_ROWS:
+            raise
+        # the file can be read, though no fit is possible with these settings
+        console.print(f"\nNo fit as set: {refusal}", style="yellow")
 
 
 def _check_friction(data: Path, reading: Reading) -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.figures import FigureFiles
 from curlfit.options.output import Output, Saved, progress_line
-from curlfit.settings.choices import FLAGS, Comparing, Reading
+from curlfit.settings.choices import Comparing, Reading
+
+if TYPE_CHECKING:
+    from curlfit.comparison.candidates import Progress
+    from curlfit.comparison.result import Comparison
 
 
 def compare(
@@ -87,46 +91,44 @@ def _several(
     if len(data) == 1:
         usual = s.result_folder(data[0], "compare", reading)
     folder = claim_folder(output.out or usual)
-    return _compared(data_sets, chosen, folder, figures, output)
+
+    def compared(progress: Progress) -> Comparison:
+        from curlfit.comparison.compare import compare as compare_laws
+
+        return compare_laws(data_sets, progress=progress, **vars(chosen))
+
+    return _shown(compared, folder, figures, output)
 
 
 def _one_throw(
     data: Path, flags: Comparing, reading: Reading, config: Path | None, output: Output
 ) -> Saved:
     """Compare laws on one track."""
-    from curlfit.friction import LAWS, find_law
-    from curlfit.inference.parameters import ParameterSet, options_of, require_known
+    from curlfit.comparison.requests import requests_of
     from curlfit.output.files import claim_folder
-    from curlfit.throws.plausibility import require_plausible
-    from curlfit.throws.throw import require_path
 
     figures = output.drawn()
-    configured = s.prepare(data, config, reading, flags)
-    chosen = configured.chosen
-    cut = configured.cut
-    unusual = require_plausible(cut)
-    laws = [find_law(name) for name in chosen.laws] or list(LAWS.values())
-    options = {**chosen.by_parameter, "start": chosen.start}
-    require_known(
-        laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()}
-    )
-    for law in laws:  # a prior or bound that a law refuses is told before any is fitted
-        parameters = options_of(law, chosen.by_parameter)
-        ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **parameters)
-    require_path(cut)
+    job = s.prepare(data, config, reading, flags)
+    chosen = job.chosen
+    requests = requests_of(job.throw, chosen)
     folder = claim_folder(output.out or s.result_folder(data, "compare", reading))
-    return _compared(configured.throw, chosen, folder, figures, output, unusual)
+
+    def compared(progress: Progress) -> Comparison:
+        from curlfit.comparison.compare import compare_requests
+
+        return compare_requests(requests, chosen, progress)
+
+    return _shown(compared, folder, figures, output, requests[0].findings)
 
 
-def _compared(
-    data: Any,
-    chosen: Comparing,
+def _shown(
+    compared: Callable[[Progress], Comparison],
     folder: Path,
     figures: FigureFiles,
     output: Output,
     remarks: Sequence[object] = (),
 ) -> Saved:
-    """Compare laws on a throw, or on data sets, and write the comparison."""
+    """Compare laws, with a line of progress, and write the comparison."""
     from rich.progress import BarColumn, MofNCompleteColumn
 
     figures.draw_beside()
@@ -137,7 +139,5 @@ def _compared(
         "(a first run on a machine compiles each law)",
     )
     with progress_line(output.console(), *columns) as show:
-        from curlfit.comparison.compare import compare as compare_laws
-
-        comparison = compare_laws(data, progress=show, **vars(chosen))
+        comparison = compared(show)
     return output.finish(comparison, folder, figures, remarks=remarks)

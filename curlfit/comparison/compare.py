@@ -39,23 +39,22 @@ from curlfit.comparison.criteria import (
 )
 from curlfit.comparison.lacking import lacking
 from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out, standard_error
+from curlfit.comparison.requests import requests_of, with_free_signs
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law, Load
+from curlfit.friction import Law
 from curlfit.friction.family import LawFamily, family_of
-from curlfit.friction.registry import laws_under
-from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
-from curlfit.inference.fit.fit import fit
+from curlfit.inference.fit.fit import fit_request
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.parameters import options_of, require_known
+from curlfit.inference.request import Request
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
-from curlfit.noises import NOISES, Noise
+from curlfit.noises import NOISES
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.friction_table import FrictionTable
-from curlfit.throws.throw import Throw, require_path, require_throw
+from curlfit.throws.throw import Throw, require_throw
 
 _FAR = 5.0
 """Times the residuals of another law, or the noise of an ordinary tracker, beyond which
@@ -123,35 +122,35 @@ def compare(
     if isinstance(throw, Sequence) and not isinstance(throw, str):
         return compare_sets(throw, Comparing.of(laws=laws, **choices), progress)
     require_throw(throw)
-    require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
-    laws_and_loads = laws_under(chosen.laws, chosen.load)
-    models = [
-        (law, load, noise) for noise in chosen.noise for law, load in laws_and_loads
-    ]
-    options = {**chosen.by_parameter, "start": chosen.start}
-    require_known([law for law, _ in laws_and_loads], options)
-    family = family_of(law for law, _ in laws_and_loads)
-    shared = vars(chosen) | {
-        "family": family,
-        "systematics": {ALL: 0.0},
-        "details": False,
-    }
-    del shared["laws"]
+    return compare_requests(requests_of(throw, chosen), chosen, progress)
 
-    def fits_of(
-        law: type[Law], load: Load, noise: Noise
-    ) -> list[FittedLaw | Candidate]:
-        of_law = options_of(law, options) | {"load": load, "noise": noise}
-        return _with_free_signs(throw, law, shared | of_law)
 
-    names = [law.name for law, *_ in models]
-    fits_by_model = computed(fits_of, models, names, 0, len(models), progress)
+def compare_requests(
+    requests: Sequence[Request], chosen: Comparing, progress: Progress | None = None
+) -> Comparison:
+    """The comparison of the laws that are requested of one throw.
+
+    Parameters
+    ----------
+    requests : from `requests_of` these choices.
+    progress : as in `compare`.
+    """
+    family = family_of(dict.fromkeys(request.law for request in requests))
+
+    def fits_of(request: Request) -> list[FittedLaw | Candidate]:
+        return _fitted_with_signs(request, chosen, family)
+
+    count = len(requests)
+    names = [request.law.name for request in requests]
+    fits_by_model = computed(
+        fits_of, [(request,) for request in requests], names, 0, count, progress
+    )
     if progress is not None:
-        progress("", len(models), len(models))
+        progress("", count, count)
     fitted, failed = parted(chain(*fits_by_model))
     comparison = _compared(fitted, failed, family)
-    flags = [*throw.read_with, *chosen.words()]
+    flags = [*requests[0].throw.read_with, *chosen.words()]
     return replace(
         comparison,
         lacking=_lacking(comparison, family),
@@ -175,16 +174,16 @@ def _lacking(comparison: Comparison, family: type[LawFamily] | None) -> Lacking 
     return lacking(first, best, fits, family)
 
 
-def _with_free_signs(
-    throw: Throw, law: type[Law], choices: dict[str, Any]
+def _fitted_with_signs(
+    request: Request, chosen: Comparing, family: type[LawFamily] | None
 ) -> list[FittedLaw | Candidate]:
     """The fit of a law and, where it needs a negative coefficient, the
     fit with that."""
-    within_bounds = _fitted(throw, law, choices, signs_free=False)
+    within_bounds = _fitted(request, family, signs_free=False)
     if (
         isinstance(within_bounds, Candidate)
         or within_bounds.fields["follows"]
-        or choices["unbounded"]
+        or chosen.unbounded
     ):
         return [within_bounds]
     at_zero = any(
@@ -195,22 +194,22 @@ def _with_free_signs(
     )
     if not at_zero:
         return [within_bounds]
-    free = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
+    free = _fitted(with_free_signs(request, chosen), family, signs_free=True)
     if isinstance(free, Candidate) or not free.fields["negative"]:
         return [within_bounds]
     return [within_bounds, free]
 
 
 def _fitted(
-    throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
+    request: Request, family: type[LawFamily] | None, *, signs_free: bool
 ) -> FittedLaw | Candidate:
     """A law fitted to a throw; the candidate alone where there is no fit."""
-    fields = about(law, choices["load"]) | {
+    fields = about(request.law, request.load) | {
         "signs_free": signs_free,
-        "noise": choices["noise"].kind,
+        "noise": request.noise.kind,
     }
     try:
-        result = fit(throw, law, **choices)
+        result = fit_request(request, details=False, family=family)
     except UnusableFitError as error:
         return Candidate(**fields, status=str(error))
     likelihood = log_likelihood(result)
@@ -225,7 +224,7 @@ def _fitted(
         "curl_explained": adequate.explained,
         "follows": adequate.follows,
         "log_likelihood": sum(likelihood.values()),
-        "sides": sides_of_curl(law, choices["load"], result, choices["family"]),
+        "sides": sides_of_curl(request.law, request.load, result, family),
         "negative": _needed_negative(result),
         "fitted": {name: result.fitted[name].tolist() for name in PLACE},
     }

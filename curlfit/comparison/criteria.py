@@ -49,7 +49,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.mcmc.draws import WeightedProposals

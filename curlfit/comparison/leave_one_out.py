@@ -33,7 +33,7 @@ from scipy.special import gammaln, log_ndtr
 
 from curlfit.comparison.criteria import NULL, NormalFactors, Posterior, Quadratic
 from curlfit.friction.family import LawFamily
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.losses import LOSSES

@@ -115,7 +115,7 @@ def compare_sets(
             end=0.0,
             flags=tuple(chosen.words()),
         ),
-        stone=first.rounds.throws[0].stone,
+        stone=first.rounds.requests[0].stone,
         curl=0.0,
         side=None,
         candidates=candidates,

@@ -109,7 +109,7 @@ def _fitted(on_table: LawOnSets, table: FrictionTable) -> FrictionFit:
     speed = np.geomspace(table.speed.min(), table.speed.max(), _CURVE)
     acceleration = accelerations(
         law.from_vector(covariance.values),
-        on_table.rounds.throws[0].stone,
+        on_table.rounds.requests[0].stone,
         on_table.model.load,
         jnp.asarray(speed),
         jnp.full(_CURVE, np.median(table.omega)),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily
+from curlfit.inference.request import Request
 from curlfit.numerics.arrays import Floats
 
 
@@ -22,7 +23,15 @@ class Model(NamedTuple):
     family: type[LawFamily] | None = None
     """of which the law is a member, if the programs of the family are to be used"""
 
-    def within(self, family: type[LawFamily] | None) -> Model:
+    @classmethod
+    def of(cls, request: Request, family: type[LawFamily] | None = None) -> Self:
+        """The model of a request, with the programs of a family of laws if its law is
+        a member."""
+        return cls(request.law, request.load, request.parameters.conditions).within(
+            family
+        )
+
+    def within(self, family: type[LawFamily] | None) -> Self:
         """The model with the programs of a family, if its law is a member."""
         member = family is not None and self.law in family.members
         return self._replace(family=family) if member else self

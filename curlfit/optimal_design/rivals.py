@@ -17,7 +17,6 @@ import numpy as np
 
 from curlfit.errors import CurlfitError, InputError
 from curlfit.inference.fit.fit import fitted
-from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes, widths_of
 from curlfit.inference.identifiability import r_factor, visible
@@ -27,6 +26,7 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import problem_shape
+from curlfit.inference.request import Request
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import side_by_side, stacked
 from curlfit.optimal_design.information import (
@@ -177,17 +177,17 @@ class Rival:
     def fit_each(self, throws: Sequence[NoiselessThrow]) -> SingleFits:
         """Fit each throw on its own."""
         choices = Fitting.of(**self._choices)
-        prepared = [PreparedThrow.of(_accepted(throw), choices) for throw in throws]
-        shapes = [problem_shape(throw.throw) for throw in prepared]
+        requests = [Request.of(_accepted(throw), choices) for throw in throws]
+        shapes = [problem_shape(request.throw) for request in requests]
         shape = (
             max(channels for channels, _ in shapes),
             max(rows for _, rows in shapes),
         )
         rounds = Rounds(
-            self.model, prepared, shape=shape, batch=side_by_side(len(throws))
+            self.model, requests, shape=shape, batch=side_by_side(len(throws))
         )
         solution_by_throw = []
-        for fit in fitted(rounds, None):
+        for fit in fitted(rounds):
             if isinstance(fit, CurlfitError):
                 raise fit
             solution_by_throw.append(fit.solution)
@@ -203,16 +203,16 @@ class Rival:
         names = [coefficient.name for coefficient in self.model.law.coefficients()]
         values = (start * self.typical).tolist()
         start_by_name = dict(zip(names, values, strict=True))
-        choices = [Fitting.of(**self._choices, start=start_by_name)] * len(throws)
+        choices = Fitting.of(**self._choices, start=start_by_name)
+        requests = [Request.of(_accepted(throw), choices) for throw in throws]
         none = Covariates.of([("", {})] * len(throws), (), ())
-        accepted = [_accepted(throw) for throw in throws]
-        joint = solved_together(accepted, choices, names, none, None)
+        joint = solved_together(requests, names, none, None)
         rows = self._rows(joint.rounds, joint.solution)
         return FitTogether(rows, bool(np.all(joint.solution.success)))
 
     def _rows(self, rounds: Rounds, solutions: Solution) -> Floats:
         """What is left of the residuals of each throw whatever its initial state."""
-        parameters = rounds.throws[0].parameters
+        parameters = rounds.requests[0].parameters
         values = solutions.values
         paths = predict_many(self.model, values, rounds.problems, rounds.batch)
         changes = residual_changes(

@@ -33,9 +33,7 @@ from curlfit.settings.forms import NUMBER, PATH, VALUES, option
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
-    from curlfit.inference.model import Model
-    from curlfit.inference.parameters import ParameterSet
-    from curlfit.inference.problem import Problem
+    from curlfit.inference.request import Request
     from curlfit.throws.throw import Throw
 
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
@@ -145,46 +143,19 @@ class ConfiguredThrow(Generic[Chosen]):
     seed: int | None = None
 
     @cached_property
-    def cut(self) -> Throw:
-        """The rows to be used, with the sigmas that are given."""
-        throw = self.throw.with_sigma(dict(self.chosen.sigma))
-        return throw.select_rows(**self.chosen.rows)
+    def rows(self) -> Throw:
+        """The rows that are used, with the sigmas that are given."""
+        from curlfit.inference.request import rows_in_use
+
+        return rows_in_use(self.throw, self.chosen)
 
     @cached_property
-    def parameters(self: ConfiguredThrow[ModelChoices]) -> ParameterSet:
-        """The parameters of its fit."""
-        return checked_parameters(self.chosen, self.cut)
+    def request(self: ConfiguredThrow[ModelChoices]) -> Request:
+        """The request to fit the throw, made before slow modules are loaded. Raises
+        `InputError` if it cannot be fitted."""
+        from curlfit.inference.request import Request
 
-    def require_usable(self: ConfiguredThrow[ModelChoices]) -> None:
-        """Raise `InputError` if the throw cannot be fitted, before slow modules are
-        loaded."""
-        from curlfit.throws.plausibility import require_plausible
-
-        require_plausible(self.cut)
-        _ = self.parameters
-
-    def fit(self) -> FitResult:
-        """The fit of the throw."""
-        from curlfit.inference.fit.fit import fit
-
-        return fit(self.throw, **vars(self.chosen))
-
-    def problem(
-        self: ConfiguredThrow[ModelChoices],
-    ) -> tuple[Model, ParameterSet, Problem]:
-        """The initial problem of the fit, for programs compiled alongside it."""
-        from curlfit.friction import find_law
-        from curlfit.inference.fit.prepared import PreparedThrow
-        from curlfit.inference.fit.rounds import Rounds
-        from curlfit.inference.model import Model
-        from curlfit.numerics.batches import unstacked
-
-        chosen = self.chosen
-        prepared = PreparedThrow.of(self.throw, chosen)
-        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
-        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
-        (problem,) = unstacked(rounds.problems)
-        return model, prepared.parameters, problem
+        return Request.of(self.throw, self.chosen)
 
 
 def prepare(
@@ -250,40 +221,6 @@ def prepare_all(
             )
         job_by_name[name] = apply_settings(throw, configured, flags)
     return job_by_name
-
-
-def checked_parameters(
-    chosen: Modelling, throw: Throw | None = None, *, others_swept: bool = False
-) -> ParameterSet:
-    """The parameters of a fit, before slow modules are loaded.
-
-    Parameters
-    ----------
-    throw : the rows to be used; without one, the parameters are those of any throw.
-    others_swept : whether another throw of a joint fit is swept.
-
-    Raises
-    ------
-    InputError : a choice that cannot be used.
-    """
-    from curlfit.friction import find_law
-    from curlfit.inference.conditions import check_systematics
-    from curlfit.inference.derived import check_derived
-    from curlfit.inference.parameters import ParameterSet
-
-    law = find_law(chosen.law)
-    swept = chosen.swept is not None or others_swept
-    if throw is None:
-        parameters = ParameterSet.build(law, swept=swept, **chosen.parameters)
-    else:
-        parameters = ParameterSet.for_throw(
-            law, throw, swept=swept, **chosen.parameters
-        )
-    parameters.require("--start", chosen.start)
-    if isinstance(chosen, Fitting):
-        check_systematics(chosen.systematics)
-        check_derived(chosen.derive, parameters.names)
-    return parameters
 
 
 def kind_of(folder: Path) -> str:

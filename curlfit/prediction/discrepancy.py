@@ -28,7 +28,7 @@ from typing import Any, NamedTuple, cast
 import jax
 import numpy as np
 
-from curlfit.inference.fit.prepared import linearized_fit
+from curlfit.inference.fit.problems import linearized_fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.noise.accelerations import (
     COMPONENTS,

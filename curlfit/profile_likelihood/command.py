@@ -116,15 +116,17 @@ def _source(
         fit, chain = s.load_fit_and_chain(data, flags.law)
         folder = Path(f"{s.name_of(data)}-{kind}")
         return _Source(lambda: (fit, chain), fit.parameter_set, flags, folder)
-    request = s.prepare(data, config, reading, flags)
-    request.require_usable()
+    job = s.prepare(data, config, reading, flags)
+    request = job.request
 
     def make() -> Any:
+        from curlfit.inference.fit.fit import fit_request
+        from curlfit.inference.fit.rounds import first_problem
         from curlfit.inference.least_squares import prepare_minimize
         from curlfit.numerics.batches import FEW
 
-        prepare_minimize(*request.problem(), FEW)
-        return request.fit(), None
+        prepare_minimize(*first_problem(request), FEW)
+        return fit_request(request), None
 
     folder = s.result_folder(data, kind, reading)
-    return _Source(make, request.parameters, request.chosen, folder)
+    return _Source(make, request.parameters, job.chosen, folder)

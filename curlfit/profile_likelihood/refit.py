@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import UnusableFitError
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats

@@ -387,11 +387,11 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from emcee.autocorr import integrated_time
 
     from curlfit import fit, sample
-    from curlfit.inference.fit.prepared import PreparedThrow
     from curlfit.inference.likelihood import log_posterior
     from curlfit.inference.model import Model
     from curlfit.inference.priors import Penalty
     from curlfit.inference.problem import build_problem
+    from curlfit.inference.request import Request
     from curlfit.settings.choices import Modelling
 
     result = fit(throw)
@@ -404,7 +404,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     ours = effective / taken
 
     law = result.law_class
-    ready = PreparedThrow.of(throw, Modelling.of(throw.settings, law=law))
+    ready = Request.of(throw, Modelling.of(throw.settings, law=law))
     parameters = ready.parameters
     problem = build_problem(ready.throw, ready.stone, result.sigma)
     walkers, steps = 64, 8000

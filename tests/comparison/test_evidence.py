@@ -19,7 +19,7 @@ from curlfit.comparison.criteria import (
     log_evidence,
     log_likelihood,
 )
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.likelihood import chi_squared_of_many
 from curlfit.numerics.batches import BATCH, stacked
 

@@ -13,9 +13,12 @@ from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LocalLaw
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
+from curlfit.inference.fit.fit import fit_request
 from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
 from curlfit.inference.model import Model
+from curlfit.inference.request import Request
 from curlfit.numerics.batches import stacked
+from curlfit.settings.choices import Fitting
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 FAMILY = family_of([law for law, _ in laws_under(None)])
@@ -164,7 +167,8 @@ def test_forces_along_a_path_and_their_slopes(name, family):
 def test_a_fit_beside_others_is_the_fit(eq12):
     alone = curlfit.fit(eq12, "coulomb", details=False)
     # that of comparisons
-    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)
+    request = Request.of(eq12, Fitting.of(eq12.settings, law="coulomb"))
+    beside = fit_request(request, details=False, family=FAMILY)
     assert beside.coefficients.keys() == alone.coefficients.keys()
     for name, item in alone.parameters.items():
         other = beside.parameters[name]

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
-from curlfit.inference.fit.prepared import linearized_fit, problem_of
+from curlfit.inference.fit.problems import linearized_fit, problem_of
 from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.whitening import whitened

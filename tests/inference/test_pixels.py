@@ -11,7 +11,7 @@ import pytest
 import curlfit
 from curlfit import LAWS, InitialState, Stone, load_fit, load_throw, simulate
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.quantities import quantities_of
 from tests.sample_files import project, table
 

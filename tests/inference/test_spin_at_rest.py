@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import LAWS
 from curlfit.inference.fit.other_rests import starts_with_other_rests
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.least_squares import MOST_STEPS, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many
 from curlfit.numerics.batches import stacked, unstacked

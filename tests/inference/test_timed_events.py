@@ -14,13 +14,13 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.least_squares import Tasks, solve
 from curlfit.inference.likelihood import predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import build_problem
+from curlfit.inference.request import Request
 from curlfit.numerics.batches import stacked
 from curlfit.prediction.report import describe_rest
 from curlfit.settings.choices import Fitting
@@ -136,7 +136,7 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
 def slopes(problem, values):
     """Residuals and Jacobians of fits that begin at some parameter vectors and may
     move nothing."""
-    parameters = PreparedThrow.of(
+    parameters = Request.of(
         Throw.from_events(EVENTS), Fitting.of(law="coulomb")
     ).parameters
     tasks = Tasks.of([(parameters, problem, value) for value in values])
@@ -228,8 +228,8 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
 
 def test_a_rough_path_tells_no_exponent():
     throw = Throw.from_events(record(speed=2.1, rest=TEE))
-    prepared = PreparedThrow.of(throw, Fitting.of(law="power"))
-    start = Rounds(Model(LAWS["power"], "uniform"), [prepared]).starts()[1][0, 0]
+    request = Request.of(throw, Fitting.of(law="power"))
+    start = Rounds(Model.of(request), [request]).starts()[1][0, 0]
     assert start[1] == LAWS["power"].coefficients()[1].default
     # c v^k over the path, in closed form for k = -1/2: v^2.5 = 2.5 c g s
     assert start[0] == pytest.approx(2.1**2.5 / (2.5 * G * (TEE - HOG)), rel=0.2)

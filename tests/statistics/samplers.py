@@ -25,7 +25,7 @@ from tables import Table
 import curlfit
 from curlfit.comparison.criteria import log_evidence, log_likelihood
 from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.likelihood import predict_channels
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}

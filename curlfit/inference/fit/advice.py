@@ -25,7 +25,7 @@ from curlfit.findings import Finding, Remedy
 from curlfit.friction import check_load
 from curlfit.friction.curl import can_curl
 from curlfit.inference.fit.entries import FurtherMeasurement
-from curlfit.inference.fit.prepared import LeastSquaresFit
+from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.least_squares import Indices
@@ -219,7 +219,7 @@ class _Measurements(NamedTuple):
 
     @classmethod
     def of(cls, fit: LeastSquaresFit, held: Collection[str]) -> Self:
-        parameters = fit.prepared.parameters
+        parameters = fit.request.parameters
         free = np.flatnonzero([name not in held for name in parameters.names])
         jacobian = _slopes_of_all_channels(fit, free)
         channels, rows, _ = jacobian.shape
@@ -276,8 +276,8 @@ class _Measurements(NamedTuple):
 def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
     """Derivatives of the path by some parameters, shape (channels, rows,
     parameters)."""
-    parameters = fit.prepared.parameters
-    rows = len(fit.prepared.throw)
+    parameters = fit.request.parameters
+    rows = len(fit.request.throw)
 
     def path(values: Floats) -> Floats:
         channels = predict_channels(fit.model, values, fit.problem)

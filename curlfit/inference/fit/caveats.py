@@ -12,7 +12,7 @@ from curlfit.inference.derived import Derived
 from curlfit.inference.fit.departures import Departures, KnownCondition
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.prepared import LeastSquaresFit
+from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.independence import time_of_motion
@@ -48,7 +48,7 @@ def warnings_of(
     rival : parameters that differ in another solution, with their values there.
     departures : how chi squared departs from its quadratic.
     """
-    throw = fit.prepared.throw
+    throw = fit.request.throw
     outliers = result.outliers
     warnings = [*unusual, *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
@@ -59,9 +59,9 @@ def warnings_of(
         *_of_correlation(result),
         *_of_errors(result),
     ]
-    if outliers and not fit.loss.is_robust:
+    if outliers and not fit.request.loss.is_robust:
         warnings.append(of_outliers(outliers, throw.t))
-    if not fit.loss.is_robust and fit.noise.is_white:
+    if not fit.request.loss.is_robust and fit.noise.is_white:
         warnings += _of_given_sigma(throw, residual, outliers)
     ridges = of_ridges(result.parameters, departures, result.products)
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)

@@ -28,7 +28,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
-from curlfit.inference.fit.prepared import LeastSquaresFit
+from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.independence import time_of_motion
@@ -97,8 +97,8 @@ class _Residuals(NamedTuple):
 
     @classmethod
     def of(cls, fit: LeastSquaresFit) -> Self:
-        n = len(fit.prepared.throw)
-        free = fit.prepared.parameters.free
+        n = len(fit.request.throw)
+        free = fit.request.parameters.free
         weight = np.asarray(fit.problem.weight)[:, :n]
         path = np.asarray(predict_channels(fit.model, fit.solution.values, fit.problem))
         t = np.asarray(fit.problem.times)[:n]
@@ -138,8 +138,8 @@ def may_have_changed(fit: LeastSquaresFit, result: FitResult) -> bool:
     doubtful = any(
         independence.doubtful for independence in result.independence.values()
     )
-    plain = not fit.loss.is_robust and fit.noise.is_white
-    return doubtful and plain and fit.prepared.swept is None
+    plain = not fit.request.loss.is_robust and fit.noise.is_white
+    return doubtful and plain and fit.request.swept is None
 
 
 def change_of(fit: LeastSquaresFit) -> Change | None:
@@ -172,7 +172,7 @@ def change_of(fit: LeastSquaresFit) -> Change | None:
     if _gain(after, remainder, residuals.weight) > 2 * len(smooth):
         return None
     explained = (before**2 - after**2).reshape(residuals.weight.shape).sum(axis=1)
-    first = float(fit.prepared.throw.t[0])
+    first = float(fit.request.throw.t[0])
     return Change(
         begin=first + float(surest.begins[index]),
         end=first + float(surest.ends[index]),

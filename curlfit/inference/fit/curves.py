@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats

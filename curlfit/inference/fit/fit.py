@@ -11,17 +11,12 @@ import numpy as np
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, NetLaw, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
-from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import may_have_changed, with_change
 from curlfit.inference.fit.entries import RefitWithStone
 from curlfit.inference.fit.other_rests import starts_with_other_rests
-from curlfit.inference.fit.prepared import (
-    LeastSquaresFit,
-    PreparedThrow,
-    bounds_of,
-    penalties,
-)
+from curlfit.inference.fit.outcome import LeastSquaresFit
+from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
@@ -42,6 +37,7 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
+from curlfit.inference.request import Request
 from curlfit.losses import LOSSES, loss_at
 from curlfit.noises import Noise
 from curlfit.numerics.arrays import Floats
@@ -59,7 +55,6 @@ def fit(
     law: str | type[Law] | None = None,
     *,
     details: bool = True,
-    family: type[LawFamily] | None = None,
     **choices: Any,
 ) -> FitResult:
     """Fit a friction law and the initial state of the throw to a measured path by
@@ -72,8 +67,6 @@ def fit(
     details : whether to compute also the quantities of the path, the fits with
         the stones of the throw's reference, and what would determine more
         parameters (`remedies`).
-    family : of laws that are fitted to the same throw, including this one: they are
-        compiled as one program.
     {choices}
 
     Returns
@@ -97,24 +90,34 @@ def fit(
     """
     require_throw(throw)
     chosen = Fitting.of(throw.settings, law=law, **choices)
-    prepared = PreparedThrow.of(throw, chosen)
-    check_derived(chosen.derive, prepared.parameters.names)
-    result = _fit(prepared, chosen, details=details, family=family)
-    return result.with_derived(chosen.derive) if chosen.derive else result
+    return fit_request(Request.of(throw, chosen), details=details)
+
+
+def fit_request(
+    request: Request, *, details: bool = True, family: type[LawFamily] | None = None
+) -> FitResult:
+    """The fit that is requested.
+
+    Parameters
+    ----------
+    details : as in `fit`.
+    family : of laws that are fitted to the same throw, including this one: they are
+        compiled as one program.
+
+    Raises
+    ------
+    UnusableFitError : no initial values led to a finite fit.
+    """
+    result = _fit(request, details=details, family=family)
+    return result.with_derived(request.derive) if request.derive else result
 
 
 def _fit(
-    prepared: PreparedThrow,
-    chosen: Fitting,
-    *,
-    details: bool,
-    family: type[LawFamily] | None,
+    request: Request, *, details: bool, family: type[LawFamily] | None
 ) -> FitResult:
-    conditions = prepared.parameters.conditions
-    model = Model(find_law(chosen.law), chosen.load, conditions).within(family)
-    rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
-    outcome = _fitted_alone(rounds, chosen.start)
-    result = summarize(outcome, widths_of(model, chosen.systematics, [prepared]))
+    model = Model.of(request, family)
+    outcome = _fitted_alone(Rounds(model, [request]))
+    result = summarize(outcome, widths_of(model, request.systematics, [request]))
     if not result.converged:
         return result
     if may_have_changed(outcome, result):
@@ -132,46 +135,46 @@ def _fit(
         name for name, estimate in result.parameters.items() if estimate.verdict.is_open
     ]
     if not_determined:
-        measurements = remedies(outcome, not_determined, chosen.fix)
+        measurements = remedies(outcome, not_determined, request.held)
         result = replace(result, remedies=measurements)
     return result
 
 
 def refit(fit: FitResult, noise: Noise) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
-    throw = fit.throw
-    rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
-    prepared = PreparedThrow(throw, fit.stone, rows, fit.data.swept, fit.parameter_set)
-    rounds = Rounds(fit.model, [prepared], loss=LOSSES[fit.loss], noise=noise)
-    return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
+    request = Request(
+        throw=fit.throw,
+        law=fit.law_class,
+        load=fit.load,
+        stone=fit.stone,
+        parameters=fit.parameter_set,
+        loss=LOSSES[fit.loss],
+        noise=noise,
+        rows={name: fit.data[name] for name in ("since", "until", "exclude")},
+        swept=fit.data.swept,
+        start=fit.parameter_set.values_of(fit.values),
+    )
+    return summarize(_fitted_alone(Rounds(fit.model, [request])))
 
 
-def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
+def _fitted_alone(rounds: Rounds) -> LeastSquaresFit:
     """Fit the only throw of some rounds."""
-    (outcome,) = fitted(rounds, start)
+    (outcome,) = fitted(rounds)
     if isinstance(outcome, CurlfitError):
         raise outcome
     return outcome
 
 
-def fitted(
-    rounds: Rounds, start: Mapping[str, float] | None
-) -> list[LeastSquaresFit | CurlfitError]:
-    """Fits of throws side by side; an error takes the place of one that fails.
-
-    Parameters
-    ----------
-    start : initial values by name, in the data's coordinates, to try first; the others
-        are those that the data give.
-    """
+def fitted(rounds: Rounds) -> list[LeastSquaresFit | CurlfitError]:
+    """Fits of throws side by side; an error takes the place of one that fails."""
     model = rounds.model
-    throws = rounds.throws
+    requests = rounds.requests
     if rounds.batch == 1:
         # Programs are compiled while the initial values are computed.
         (problem,) = unstacked(rounds.problems)
-        prepare_minimize(model, throws[0].parameters, problem)
-        prepare_channels(model, len(throws[0].parameters), problem)
-    lower, upper = bounds_of(throws)
+        prepare_minimize(model, requests[0].parameters, problem)
+        prepare_channels(model, len(requests[0].parameters), problem)
+    lower, upper = bounds_of(requests)
     paths, sides = rounds.starts()
     # Rounds revise these problems in place.
     tasks = Tasks(
@@ -179,13 +182,13 @@ def fitted(
         sides[0],
         lower,
         upper,
-        throws[0].parameters.typical,
-        penalties(throws, first=True),
+        requests[0].parameters.typical,
+        penalties(requests, first=True),
     )
-    tried = _tried(rounds, tasks, paths, sides, start)
+    tried = _tried(rounds, tasks, paths, sides)
     optima_by_throw = [_best_and_rival(solutions) for solutions in tried]
     _search_other_rests(rounds, tasks, optima_by_throw)
-    tasks = tasks._replace(penalty=penalties(throws))
+    tasks = tasks._replace(penalty=penalties(requests))
     due = np.flatnonzero([len(optima_of_throw) for optima_of_throw in optima_by_throw])
     while len(due):
         best = stacked([optima_by_throw[row][0] for row in due])
@@ -207,7 +210,6 @@ def _tried(
     tasks: Tasks,
     paths: SmoothPath,
     sides: Floats,
-    start: Mapping[str, float] | None,
 ) -> list[list[Solution]]:
     """What is reached from the initial values of each throw: from those that may fit
     equally, and from all others where the best of these is poor.
@@ -219,11 +221,11 @@ def _tried(
     model = rounds.model
     first_starts = []
     other_starts = []
-    for row, throw in enumerate(rounds.throws):
+    for row, request in enumerate(rounds.requests):
         bounds = tasks.lower[row], tasks.upper[row]
         first, others = starts_to_try(model.law, sides[:, row], bounds, tasks.typical)
-        if start:
-            given = throw.with_start(first[0], start)
+        if request.start:
+            given = request.with_given_start(first[0])
             if len(first) == 1:
                 others = first + others
                 first = [given]
@@ -376,7 +378,7 @@ def _outcome(
     if not optima_of_throw:
         model = rounds.model
         return UnusableFitError(
-            f"{rounds.throws[row].throw.name}: law {model.law.name} with "
+            f"{rounds.requests[row].throw.name}: law {model.law.name} with "
             f"{model.load} load gives no finite "
             "path from any start" + no_motion_because(model.load)
         )
@@ -409,11 +411,10 @@ def _reference_fits(
     start = result.parameter_set.values_of(result.values)
     reference_fits = []
     for change in changes:
-        prepared = outcome.prepared._replace(stone=result.stone.with_values(change))
-        rounds = Rounds(
-            outcome.model, [prepared], loss=outcome.loss, noise=outcome.noise
+        request = replace(
+            outcome.request, stone=result.stone.with_values(change), start=start
         )
-        fit = summarize(_fitted_alone(rounds, start))
+        fit = summarize(_fitted_alone(Rounds(outcome.model, [request])))
         values = {name: estimate.value for name, estimate in fit.coefficients.items()}
         for combination in fit.combinations:
             values[combination.expression] = combination.value
@@ -450,16 +451,16 @@ def fit_throws(
     find_law(chosen.law)  # an unknown one is an error of all throws
     outcomes: dict[int, FitResult | CurlfitError] = {}
     # Throws of one group have arrays of one shape, and the same parameters.
-    groups: dict[Any, dict[int, PreparedThrow]] = {}
+    groups: dict[Any, dict[int, Request]] = {}
     for index, throw in enumerate(throws):
         try:
-            prepared = PreparedThrow.of(throw, Fitting.of(throw.settings, vars(chosen)))
+            request = Request.of(throw, Fitting.of(throw.settings, vars(chosen)))
         except CurlfitError as error:
             outcomes[index] = error
         else:
-            shape = problem_shape(prepared.throw)
-            group = groups.setdefault((shape, prepared.parameters.names), {})
-            group[index] = prepared
+            shape = problem_shape(request.throw)
+            group = groups.setdefault((shape, request.parameters.names), {})
+            group[index] = request
     for ((_, rows), _), group in groups.items():
         batch = side_by_side(len(group))
         at_once = max(BATCH, _ROWS // rows)
@@ -468,7 +469,6 @@ def fit_throws(
             part = indices[first : first + at_once]
             results = _fit_alike(
                 [group[index] for index in part],
-                chosen,
                 curves=curves,
                 systematics=systematics,
                 batch=batch,
@@ -478,8 +478,7 @@ def fit_throws(
 
 
 def _fit_alike(
-    throws: Sequence[PreparedThrow],
-    chosen: Fitting,
+    requests: Sequence[Request],
     *,
     curves: bool,
     systematics: Mapping[str, float] | None,
@@ -487,17 +486,14 @@ def _fit_alike(
 ) -> list[FitResult | CurlfitError]:
     """Fits of throws whose problems have one shape and the same parameters, `batch` of
     them side by side; the other arguments as in `fit_throws`."""
-    conditions = throws[0].parameters.conditions
-    loss = chosen.loss
-    noise = chosen.noise
-    model = Model(find_law(chosen.law), chosen.load, conditions)
-    rounds = Rounds(model, throws, loss=loss, noise=noise, batch=batch)
-    outcomes = fitted(rounds, chosen.start)
+    first = requests[0]
+    model = Model.of(first)
+    outcomes = fitted(Rounds(model, requests, batch=batch))
     usable = [fit for fit in outcomes if isinstance(fit, LeastSquaresFit)]
     widths = {}
     if systematics is not None:
-        widths = widths_of(model, systematics, throws)
-    curves = curves or loss.is_robust or not noise.is_white
+        widths = widths_of(model, systematics, requests)
+    curves = curves or first.loss.is_robust or not first.noise.is_white
     results = iter(summarize_many(usable, batch, curves=curves, widths=widths))
     return [
         outcome

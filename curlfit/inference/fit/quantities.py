@@ -13,7 +13,7 @@ import numpy as np
 from curlfit.friction import Parameter
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, with_quantiles
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import with_condition_off
 from curlfit.inference.likelihood import predict_channels

@@ -25,12 +25,8 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import (
-    LeastSquaresFit,
-    PreparedThrow,
-    bounds_of,
-    linearized,
-)
+from curlfit.inference.fit.outcome import LeastSquaresFit
+from curlfit.inference.fit.problems import bounds_of, linearized
 from curlfit.inference.initial_values import (
     SmoothPath,
     default_guess,
@@ -48,11 +44,12 @@ from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
+from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
-from curlfit.losses import LINEAR, Loss, place_of, robust_sigma
-from curlfit.noises import WHITE, Noise
+from curlfit.inference.request import Request
+from curlfit.losses import place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import stacked
+from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
@@ -77,37 +74,45 @@ class Rounds:
     def __init__(
         self,
         model: Model,
-        throws: Sequence[PreparedThrow],
+        requests: Sequence[Request],
         *,
-        loss: Loss = LINEAR,
-        noise: Noise = WHITE,
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
-        """`shape` is that of all problems; `batch` the number of paths integrated
-        side by side. Estimates that the noise has are made anew."""
+        """Of requests with one loss and one kind of noise.
+
+        Parameters
+        ----------
+        shape : of all problems; the smallest possible if None.
+        batch : number of paths integrated side by side.
+
+        Raises
+        ------
+        InputError : the noise is that of rows, and a throw has timed events too.
+        """
+        loss = requests[0].loss
+        noise = requests[0].noise
         if not noise.is_white:
-            for prepared in throws:
-                if prepared.throw.events and prepared.throw.has_path:
+            for request in requests:
+                if request.throw.events and request.throw.has_path:
                     raise InputError(
-                        f"{prepared.throw.name}: noise {noise.kind} is that of rows, "
+                        f"{request.throw.name}: noise {noise.kind} is that of rows, "
                         "and this throw has timed events beside its path; "
                         "fit the path alone, or with white noise"
                     )
         noise = type(noise)()  # not estimated
         self.model = model
-        self.throws = throws
+        self.requests = requests
         self.batch = batch
         self.loss = loss
-        equal_sigmas = [prepared.equal_sigma() for prepared in throws]
-        self.problems = _problems(
-            throws, [prepared.throw for prepared in throws], equal_sigmas, shape
-        )
+        equal_sigmas = [request.equal_sigma() for request in requests]
+        throws = [request.throw for request in requests]
+        self.problems = _problems(requests, throws, equal_sigmas, shape)
         self.initial_problems = self.problems
         if not noise.is_white:
             # Until the noise is estimated, these change nothing.
             whiteners = [
-                Whitener.of(noise, times, weight, len(throws[0].parameters))
+                Whitener.of(noise, times, weight, len(requests[0].parameters))
                 for times, weight in zip(
                     self.problems.times, self.problems.weight, strict=True
                 )
@@ -117,8 +122,8 @@ class Rounds:
             # Initial values do without events; a throw with nothing else needs
             # a rough path.
             self.initial_problems = _problems(
-                throws,
-                [prepared.throw.sketched() for prepared in throws],
+                requests,
+                [throw.sketched() for throw in throws],
                 equal_sigmas,
                 (len(CHANNELS), self.problems.times.shape[-1]),
             )
@@ -130,8 +135,8 @@ class Rounds:
             [[sigma.get(name, 0.0) for name in self.channels] for sigma in equal_sigmas]
         )
         self._estimated = np.zeros_like(self.sigma)
-        self.free = np.stack([prepared.parameters.free for prepared in throws])
-        self.noises = [noise] * len(throws)
+        self.free = np.stack([request.parameters.free for request in requests])
+        self.noises = [noise] * len(requests)
         self.failures: dict[int, InputError] = {}
         robust_fits = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
@@ -150,8 +155,8 @@ class Rounds:
         none tells the size of coefficients, but no exponent and no sign: without
         friction a stone would never rest."""
         paths = smooth(self.initial_problems)
-        lower, upper = bounds_of(self.throws)
-        rough = np.array([not prepared.throw.has_path for prepared in self.throws])
+        lower, upper = bounds_of(self.requests)
+        rough = np.array([not request.throw.has_path for request in self.requests])
         for index, coefficient in enumerate(self.model.law.coefficients()):
             usual = default_guess(coefficient)
             factor = 1.0 if coefficient.signed else _ROUGHLY
@@ -190,7 +195,7 @@ class Rounds:
         sigma = residual_sigma(solutions, self.problems, self.free) + SIGMA_FLOOR
         ratio = np.where(self.unknown, self.sigma / sigma, 1.0)[..., None]
         self.sigma = np.where(self.unknown, sigma, self.sigma)
-        self._reweight(np.arange(len(self.throws)))
+        self._reweight(np.arange(len(self.requests)))
         return solutions._replace(
             residual=solutions.residual * ratio,
             jacobian=solutions.jacobian * ratio[..., None],
@@ -209,9 +214,8 @@ class Rounds:
             for row in np.flatnonzero(self.unknown[index])
         }
         return LeastSquaresFit(
-            prepared=self.throws[index],
+            request=self.requests[index],
             model=self.model,
-            loss=self.loss,
             noise=self.noises[index],
             problem=_at(self.problems, index),
             sigma=sigma,
@@ -274,7 +278,7 @@ class Rounds:
             problem = _at(problems, row)
             data = self._linearized(throw, problem, _at(solutions, row), paths[row])
             if not data.enough.any():
-                name = self.throws[throw].throw.name
+                name = self.requests[throw].throw.name
                 self.failures[throw] = InputError(
                     f"{name}: too few values to estimate a correlation of the noise"
                 )
@@ -308,18 +312,18 @@ class Rounds:
         self, throw: int, problem: Problem, solution: Solution, path: Floats
     ) -> Linearized:
         """A fit with white noise to first order."""
-        prepared = self.throws[throw]
-        lower, upper = bounds_of([prepared])
+        request = self.requests[throw]
+        lower, upper = bounds_of([request])
         adjustable = (lower[0] < solution.values) & (solution.values < upper[0])
-        typical = prepared.parameters.typical
-        rows = len(prepared.throw)
+        typical = request.parameters.typical
+        rows = len(request.throw)
         if self.noises[throw].has_discrepancy:
             return linearized(
                 self.model,
                 problem,
                 solution.values,
                 path[:, :rows],
-                prepared.stone,
+                request.stone,
                 typical,
                 adjustable,
             ).first(len(problem.weight))
@@ -355,7 +359,7 @@ class Rounds:
 
 
 def _problems(
-    prepared: Sequence[PreparedThrow],
+    requests: Sequence[Request],
     throws: Sequence[Throw],
     sigmas: Sequence[dict[str, float]],
     shape: tuple[int, int] | None,
@@ -364,17 +368,17 @@ def _problems(
 
     Parameters
     ----------
-    throws : the data, those of the `prepared` ones or sketches of them.
+    throws : the data, those of the requests or sketches of them.
     """
     problems = [
         build_problem(
             throw,
-            of_throw.stone,
+            request.stone,
             sigma,
-            swept=of_throw.swept,
+            swept=request.swept,
             shape=shape,
         )
-        for of_throw, throw, sigma in zip(prepared, throws, sigmas, strict=True)
+        for request, throw, sigma in zip(requests, throws, sigmas, strict=True)
     ]
     return stacked(problems)
 
@@ -382,3 +386,10 @@ def _problems(
 def _at(stack: Any, which: Any) -> Any:
     """The records of a stack at an index, or at several."""
     return jax.tree.map(itemgetter(which), stack)
+
+
+def first_problem(request: Request) -> tuple[Model, ParameterSet, Problem]:
+    """The problem that a fit begins with, for programs that are compiled beside it."""
+    model = Model.of(request)
+    (problem,) = unstacked(Rounds(model, [request]).problems)
+    return model, request.parameters, problem

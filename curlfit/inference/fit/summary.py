@@ -35,13 +35,8 @@ from curlfit.inference.fit.departures import (
 from curlfit.inference.fit.entries import DataOfFit, Determined, FittedEvent, Outlier
 from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
-from curlfit.inference.fit.prepared import (
-    LeastSquaresFit,
-    PreparedThrow,
-    bounds_of,
-    linearized,
-    penalties,
-)
+from curlfit.inference.fit.outcome import LeastSquaresFit
+from curlfit.inference.fit.problems import bounds_of, linearized, penalties
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
@@ -58,6 +53,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.inference.products import products_of
+from curlfit.inference.request import Request
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
@@ -158,7 +154,7 @@ class _Many(NamedTuple):
     fits: Sequence[LeastSquaresFit]
     model: Model
     loss: Loss
-    throws: list[PreparedThrow]
+    requests: list[Request]
     problems: Problem
     solutions: Solution
     bounded: Bounded
@@ -174,22 +170,22 @@ class _Many(NamedTuple):
         common: Booleans | None,
         others: Floats | None,
     ) -> Self:
-        throws = [fit.prepared for fit in fits]
+        requests = [fit.request for fit in fits]
         solutions = stacked([fit.solution for fit in fits])
-        lower, upper = bounds_of(throws, common)
-        penalty = penalties(throws)
+        lower, upper = bounds_of(requests, common)
+        penalty = penalties(requests)
         if others is not None:
             is_told = (others[..., :-1] != 0).any((0, 1))
             penalty = penalty._replace(weight=penalty.weight * ~is_told)
         return cls(
             fits=fits,
             model=fits[0].model,
-            loss=fits[0].loss,
-            throws=throws,
+            loss=requests[0].loss,
+            requests=requests,
             problems=stacked([fit.problem for fit in fits]),
             solutions=solutions,
             bounded=Bounded(solutions.values, lower, upper),
-            typical=throws[0].parameters.typical,
+            typical=requests[0].parameters.typical,
             penalty=penalty,
             common=common,
             others=others,
@@ -223,7 +219,7 @@ class _Many(NamedTuple):
                 total=count.sum(),
             )
             covariance = Covariance.of(
-                fit.prepared.parameters.names,
+                fit.request.parameters.names,
                 Bounded(*(part[row] for part in self.bounded)),
                 self.typical,
                 (factors.at(row), estimator.at(row)),
@@ -462,7 +458,7 @@ class _Many(NamedTuple):
             paths,
             widths,
             batch,
-            self.throws,
+            self.requests,
             jointly=self.common is not None,
         )
         gradients = {}
@@ -500,7 +496,7 @@ def _record(
     alone : whether the throw is fitted by itself.
     """
     law = fit.model.law
-    throw = fit.prepared.throw
+    throw = fit.request.throw
     reference = throw.reference
     identifiability = covariance.identifiability
     residual = residual[:, : len(throw)]
@@ -518,9 +514,9 @@ def _record(
     distance = covariance.distance
     if departures.distance is not None:
         distance = departures.distance
-    estimates = _estimates(fit.prepared.parameters, covariance, departures, rival)
+    estimates = _estimates(fit.request.parameters, covariance, departures, rival)
     outliers = outliers_of(
-        throw, residual, lag1, covariance.dof, covariance.leverage, fit.loss
+        throw, residual, lag1, covariance.dof, covariance.leverage, fit.request.loss
     )
     misfit = _misfit(fit, series, outliers)
     unusual = _unusual(fit, estimates["v0"], curves, misfit, alone=alone)
@@ -535,7 +531,7 @@ def _record(
     result = FitResult(
         law=law.name,
         load=fit.model.load,
-        stone=fit.prepared.stone,
+        stone=fit.request.stone,
         data=_data(fit),
         converged=distance < CONVERGED and not is_refused,
         status=_status(fit, distance, unusual),
@@ -563,7 +559,7 @@ def _record(
         observed=_observed(fit),
         fitted=curves,
         discrepancy=_discrepancy(fit, path, covariance),
-        loss=fit.loss.name,
+        loss=fit.request.loss.name,
         noise=fit.noise,
         independence=independence,
         outliers=outliers,
@@ -608,7 +604,7 @@ def _ridge_points(
     ridge = departures.ridge
     if ridge is None:
         return ()
-    names = fit.prepared.parameters.names
+    names = fit.request.parameters.names
     points = []
     for point, rise in zip(ridge.points, ridge.rises.tolist(), strict=True):
         held = None if point.held is None else names[point.held]
@@ -637,8 +633,8 @@ def _by_channel(
 
 def _data(fit: LeastSquaresFit) -> DataOfFit:
     """What was fitted."""
-    prepared = fit.prepared
-    throw = prepared.throw
+    request = fit.request
+    throw = request.throw
     sigma = {name: "estimated" if name in fit.sigma else "given" for name in throw.seen}
     return DataOfFit(
         file=throw.name,
@@ -646,18 +642,18 @@ def _data(fit: LeastSquaresFit) -> DataOfFit:
         rows=len(throw) if throw.has_path else 0,
         begin=float(throw.t[0]),
         end=float(throw.t[-1]),
-        **prepared.rows,
-        swept=prepared.swept,
+        **request.rows,
+        swept=request.swept,
         sigma=sigma,
         notes=tuple(throw.notes),
         labels=dict(throw.labels),
-        flags=tuple(prepared.flags),
+        flags=tuple(request.flags),
     )
 
 
 def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
     """The measured series, and sigmas that were given or vary by row."""
-    throw = fit.prepared.throw
+    throw = fit.request.throw
     shown = [
         name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")
     ]
@@ -675,7 +671,7 @@ def _discrepancy(
     """Mean of the model discrepancy by channel; empty where the noise has none."""
     if path is None or not fit.noise.sizes:
         return {}
-    prepared = fit.prepared
+    request = fit.request
     weight_of_independent = np.array(fit.problem.weight)
     for name, sigma in fit.noise.independent.items():
         weight_of_independent[CHANNELS.index(name)] *= fit.sigma[name] / sigma
@@ -684,14 +680,14 @@ def _discrepancy(
         fit.problem._replace(weight=weight_of_independent),
         fit.solution.values,
         path,
-        prepared.stone,
-        prepared.parameters.typical,
-        prepared.parameters.free & ~covariance.at_bound,
+        request.stone,
+        request.parameters.typical,
+        request.parameters.free & ~covariance.at_bound,
     )
     weight = np.zeros_like(data.weight)
     weight[: len(fit.problem.weight)] = fit.problem.weight
     mean = posterior_mean(fit.noise, fit.problem.times, weight, data)
-    return dict(zip(CHANNELS, mean[:, : len(prepared.throw)], strict=False))
+    return dict(zip(CHANNELS, mean[:, : len(request.throw)], strict=False))
 
 
 def _misfit(
@@ -704,7 +700,7 @@ def _misfit(
     misfit = {}
     for name, (off, _) in series.items():
         squares = np.sort(off**2)
-        if fit.loss.is_robust:  # outliers are the largest of them
+        if fit.request.loss.is_robust:  # outliers are the largest of them
             far = [outlier for outlier in outliers if outlier.channel == name]
             squares = squares[: len(squares) - len(far)]
         misfit[name] = float(np.sqrt(squares.mean())) if len(squares) else 0.0
@@ -720,7 +716,7 @@ def _unusual(
     alone: bool,
 ) -> tuple[Finding, ...]:
     """What is implausible in the data and in the fitted motion."""
-    throw = fit.prepared.throw
+    throw = fit.request.throw
     speed = np.zeros(0)
     start_speed = 0.0
     if start.verdict != Verdict.NOT_IDENTIFIABLE:
@@ -730,7 +726,7 @@ def _unusual(
     of_motion = examine_fit(
         throw, t, speed, start_speed, start.stderr, misfit, alone=alone
     )
-    return (*of_motion, *fit.prepared.findings)
+    return (*of_motion, *fit.request.findings)
 
 
 def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -> str:
@@ -764,7 +760,7 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
     there; empty without one."""
     if fit.rival is None:
         return {}
-    parameters = fit.prepared.parameters
+    parameters = fit.request.parameters
     apart = np.abs(fit.rival.values - fit.solution.values)
     values = parameters.values_of(fit.rival.values)
     different = parameters.names_where(apart > _DIFFERENT * parameters.typical)

@@ -23,13 +23,13 @@ from curlfit.inference.conditions import (
     check_systematics,
     is_calibration,
 )
-from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.inference.request import Request
 from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked
@@ -46,7 +46,7 @@ _STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
 def widths_of(
     model: Model,
     given: Mapping[str, float] | None = None,
-    throws: Sequence[PreparedThrow] = (),
+    requests: Sequence[Request] = (),
     *,
     jointly: bool = False,
 ) -> dict[str, float]:
@@ -56,7 +56,8 @@ def widths_of(
     ----------
     given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for
         all not named.
-    throws : which say whether a spin is assumed, and how many errors a calibration has.
+    requests : of the throws, which say whether a spin is assumed, and how many errors a
+        calibration has.
     jointly : as in `_calibrations`.
 
     Raises
@@ -69,13 +70,13 @@ def widths_of(
     widths = dict(WIDTHS) if for_all is None else dict.fromkeys(WIDTHS, for_all)
     of_calibration = given.pop(CALIBRATION, 1.0 if for_all is None else for_all)
     widths.update(given)
-    errors = _calibrations(throws, jointly=jointly).shape[1]
+    errors = _calibrations(requests, jointly=jointly).shape[1]
     for number in range(errors):
         widths[f"{CALIBRATION}_{number + 1}"] = of_calibration
     without_error = set(model.conditions)
-    if not any(throw.assumed_spin for throw in throws):
+    if not any(request.assumed_spin for request in requests):
         without_error.add(SPIN.name)
-    if not any(throw.spin_taken_for_zero for throw in throws):
+    if not any(request.spin_taken_for_zero for request in requests):
         without_error.add(UNKNOWN_SPIN.name)
     return {
         name: width
@@ -84,16 +85,16 @@ def widths_of(
     }
 
 
-def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
+def _calibrations(requests: Sequence[Request], *, jointly: bool = False) -> Floats:
     """Independent errors of the calibration of each throw, shape (throws, errors, 3,
     3), with zeros where a throw does not have one.
 
     Throws that are fitted `jointly` share the errors of a calibration, and each of
     several calibrations has its own.
     """
-    by_throw = [prepared.throw.calibration for prepared in throws]
+    by_throw = [request.throw.calibration for request in requests]
     distinct: list[Floats] = []
-    numbers = [0] * len(throws)  # of the calibration among the distinct ones
+    numbers = [0] * len(requests)  # of the calibration among the distinct ones
     if jointly:
         for row, calibration in enumerate(by_throw):
             if calibration is None:
@@ -107,7 +108,7 @@ def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> 
         (len(calibration) for calibration in by_throw if calibration is not None),
         default=0,
     )
-    errors = np.zeros((len(throws), most * max(len(distinct), 1), 3, 3))
+    errors = np.zeros((len(requests), most * max(len(distinct), 1), 3, 3))
     for row, calibration in enumerate(by_throw):
         if calibration is None:
             continue
@@ -123,7 +124,7 @@ def residual_changes(
     paths: Floats,
     widths: Mapping[str, float],
     batch: int,
-    throws: Sequence[PreparedThrow] = (),
+    requests: Sequence[Request] = (),
     *,
     jointly: bool = False,
 ) -> dict[str, Floats]:
@@ -141,8 +142,8 @@ def residual_changes(
     """
     channels = problems.observed.shape[1]
     names = [name for name in widths if name != UNKNOWN_SPIN.name]
-    calibrations = _calibrations(throws, jointly=jointly)
-    assumed_spins = np.array([throw.assumed_spin for throw in throws])
+    calibrations = _calibrations(requests, jointly=jointly)
+    assumed_spins = np.array([request.assumed_spin for request in requests])
 
     def measured(in_widths: Floats) -> Floats:
         """Channels where conditions are off by so many of their widths."""
@@ -164,7 +165,7 @@ def residual_changes(
         changes = dict(zip(names, np.moveaxis(by_width, -1, 0), strict=True))
     if UNKNOWN_SPIN.name in widths:
         # the whole change: it is even in the spin, and has no slope where there is none
-        is_zero = np.array([throw.spin_taken_for_zero for throw in throws])
+        is_zero = np.array([request.spin_taken_for_zero for request in requests])
         moved = values.copy()
         moved[:, _SPIN] += widths[UNKNOWN_SPIN.name] * is_zero
         turning = _measured(model, problems, moved, {}, batch, calibrations)

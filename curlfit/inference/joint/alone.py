@@ -11,12 +11,12 @@ import numpy as np
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.coefficient_rows import rows_told
 from curlfit.inference.fit.fit import fitted
-from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.identifiability import stderr_told
 from curlfit.inference.joint.population import Together
+from curlfit.inference.request import Request
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import side_by_side
 
@@ -93,16 +93,14 @@ def fitted_alone(
     not converge. The priors of what throws have in common count once, for all of them,
     and are not among these."""
     rounds = together.rounds
-    names = rounds.throws[0].parameters.names_where(together.common)
+    names = rounds.requests[0].parameters.names_where(together.common)
     again = Rounds(
         rounds.model,
-        [_by_itself(one, names, held) for one in rounds.throws],
-        loss=rounds.loss,
-        noise=rounds.noises[0],
+        [_by_itself(request, names, held) for request in rounds.requests],
         shape=rounds.problems.observed.shape[1:],
-        batch=side_by_side(len(rounds.throws)),
+        batch=side_by_side(len(rounds.requests)),
     )
-    fits = fitted(again, None)
+    fits = fitted(again)
     usable = [one for one in fits if not isinstance(one, CurlfitError)]
     curves = again.loss.is_robust or not again.noises[0].is_white
     records = iter(summarize_many(usable, again.batch, curves=curves))
@@ -114,14 +112,15 @@ def fitted_alone(
 
 
 def _by_itself(
-    throw: PreparedThrow, common: Sequence[str], held: Mapping[str, float]
-) -> PreparedThrow:
-    """A throw without the priors of what it has in common, and some values held."""
-    parameters = throw.parameters
+    request: Request, common: Sequence[str], held: Mapping[str, float]
+) -> Request:
+    """A throw without the priors of what it has in common, some values held, and no
+    initial values given."""
+    parameters = request.parameters
     priors = {
         name: prior for name, prior in parameters.priors.items() if name not in common
     }
     parameters = replace(parameters, priors=priors)
     for name, value in held.items():
         parameters = parameters.with_fixed(name, value)
-    return throw._replace(parameters=parameters)
+    return replace(request, parameters=parameters, start={})

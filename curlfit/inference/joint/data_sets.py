@@ -30,7 +30,7 @@ from curlfit.inference.fit.departures import (
 )
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
-from curlfit.inference.fit.prepared import PreparedThrow, bounds_of
+from curlfit.inference.fit.problems import bounds_of
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import (
@@ -49,6 +49,7 @@ from curlfit.inference.noise.independence import Independence
 from curlfit.inference.parameters import options_of
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, problem_shape
+from curlfit.inference.request import Request
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing, Fitting
@@ -152,28 +153,24 @@ class LawOnSets:
         options |= chosen.rows
         # A heading would take a measured curl from laws that have none.
         held = options | {"fix": {"heading": 0.0, **options.get("fix", {})}}
-        prepared = [
-            PreparedThrow.of(
-                one,
-                Fitting.of(
-                    one.settings, options if one.has_path else held, law=law, load=load
-                ),
-            )
-            for one in throws or [_carrier()]
-        ]
-        parameters = prepared[0].parameters
+        requests = []
+        for throw in throws or [_carrier()]:
+            of_throw = options if throw.has_path else held
+            choices = Fitting.of(throw.settings, of_throw, law=law, load=load)
+            requests.append(Request.of(throw, choices))
+        parameters = requests[0].parameters
         self.common = np.isin(
             parameters.names, [item.name for item in law.coefficients()]
         )
         self.names = parameters.names_where(self.common)
         self.model = Model(law, load).within(family)
-        shapes = [problem_shape(one.throw) for one in prepared]
+        shapes = [problem_shape(request.throw) for request in requests]
         shapes += [
             (_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables
         ]
         channels, rows = map(max, zip(*shapes, strict=True))
-        self.rounds = Rounds(self.model, prepared, shape=(channels, rows))
-        every = np.minimum(np.arange(len(self.owner)), len(prepared) - 1)
+        self.rounds = Rounds(self.model, requests, shape=(channels, rows))
+        every = np.minimum(np.arange(len(self.owner)), len(requests) - 1)
         problems = _with_tables(
             jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems),
             throws,
@@ -185,7 +182,7 @@ class LawOnSets:
             else np.zeros((1, len(parameters.names)))
         )
         start = start[every]
-        lower, upper = (end[every] for end in bounds_of(prepared, self.common))
+        lower, upper = (end[every] for end in bounds_of(requests, self.common))
         self.speed = list(parameters.names).index("v0")
         start[self.throws :, self.common] = [
             default_guess(item) for item in law.coefficients()
@@ -216,7 +213,7 @@ class LawOnSets:
         one = self.sets[self.owner[row]]
         if one.table is not None:
             return f"mu at {one.table.speed[place]:.3g} m/s"
-        throw = self.rounds.throws[row].throw
+        throw = self.rounds.requests[row].throw
         if channel < _LAST:
             return f"{ROWS_OF_DATA[channel]} at {throw.t[place]:.4g} s"
         _, row_of, number = throw.name.partition(" row ")

@@ -9,19 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import InputError, Option, UnusableFitError, require_kind
-from curlfit.foreign import quoted
-from curlfit.friction import Law, find_law, no_motion_because
-from curlfit.inference.derived import check_derived
+from curlfit.errors import Option, UnusableFitError
+from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
-from curlfit.inference.fit.prepared import (
-    PreparedThrow,
-    bounds_of,
-    penalties,
-)
+from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Ridge
@@ -33,9 +27,10 @@ from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.evening import same_in_all, with_usual_priors
+from curlfit.inference.joint.evening import same_in_all
 from curlfit.inference.joint.population import Together, told_by_data, vary
 from curlfit.inference.joint.posterior import drawn_for_others, sampled
+from curlfit.inference.joint.request import VARYING, JointRequest
 from curlfit.inference.joint.result import DeterminedTogether, JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -48,13 +43,13 @@ from curlfit.inference.joint.variation import (
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
+from curlfit.inference.request import Request
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
-from curlfit.throws.throw import Throw, require_throw
+from curlfit.throws.throw import Throw
 
-_VARYING = 4  # throws from which on their coefficients may vary
 _MORE_SEARCHES = 4
 """After one that ended at its limit of 200 steps: 10 tracks without an angle took
 up to 133."""
@@ -116,27 +111,33 @@ def fit_together(
     >>> joint.converged, joint.share
     (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
-    require_kind(throws, Sequence, "throws", "a list of throws")
-    for throw in throws:
-        require_throw(throw)
-    if len(throws) < 2:
-        raise InputError(f"{len(throws)} throw to fit together; expected two or more")
-    law = find_law(_common(throws, "law", "front-back") if law is None else law)
-    load = _common(throws, "load", "uniform") if load is None else load
-    chosen = [
-        Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws
-    ]
-    shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
-    chosen = with_usual_priors(throws, chosen, law)
-    covariates = Covariates.of(
-        [(throw.name, throw.labels) for throw in throws], by, trend, trend_by
+    choices |= {"law": law, "load": load}
+    request = JointRequest.of(
+        throws, choices, share=share, by=by, trend=trend, trend_by=trend_by
     )
-    together = solved_together(throws, chosen, shared, covariates, progress)
-    equal = _equal(together, chosen[0].systematics)
+    return fit_joint_request(request, seed=seed, progress=progress)
+
+
+def fit_joint_request(
+    request: JointRequest,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> JointResult:
+    """The joint fit that is requested; the arguments as in `fit_together`.
+
+    Raises
+    ------
+    UnusableFitError : a throw has no finite path from the initial values found
+        from its data.
+    """
+    first = request.throws[0]
+    together = solved_together(
+        request.throws, request.shared, request.covariates, progress
+    )
+    equal = _equal(together, first.systematics)
     result = equal.result
-    robust = chosen[0].loss.is_robust
-    usual = share is None and len(throws) >= _VARYING and not robust
-    if equal.varying.weights and (by or trend or usual):
+    if equal.varying.weights and request.may_vary:
         result = _varying(together, equal, seed)
     if not result.converged:  # nothing is told of what was not found
         result = replace(
@@ -148,49 +149,15 @@ def fit_together(
             slope_differences=(),
         )
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
-    odd_rows = tuple(dict.fromkeys(odd for throw in throws for odd in throw.odd_rows))
-    result = replace(result, throws=each, odd_rows=odd_rows)
-    return result.with_derived(chosen[0].derive)
-
-
-def _common(throws: Sequence[Throw], name: str, default: str) -> str:
-    """The law or load that the throws state. Raises `InputError` where they differ."""
-    first, *others = [throw.defaults.get(name, default) for throw in throws]
-    for throw, own in zip(throws[1:], others, strict=True):
-        if own != first:
-            raise InputError(
-                f"{throws[0].name} and {throw.name} state different values of {name}, "
-                f"{first} and {own}; give the one for this fit"
-            )
-    return str(first)
-
-
-def _shared(
-    law: type[Law], share: str | Sequence[str], chosen: Fitting, *, mean: bool
-) -> tuple[str, ...]:
-    """Names of the shared coefficients. Raises `InputError` for one that the law does
-    not have, or for choices that exclude a `mean` with groups or trends."""
-    own = tuple(item.name for item in law.coefficients())
-    shared = (
-        own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
+    odd_rows = dict.fromkeys(
+        odd for of_throw in request.throws for odd in of_throw.throw.odd_rows
     )
-    for name in shared:
-        if name not in own:
-            raise InputError(
-                f"share: law {law.name} has no coefficient {quoted(name)}; "
-                f"it has {', '.join(own)}"
-            )
-    if mean and chosen.loss.is_robust:
-        raise InputError("by, trend: groups and trends are estimated with loss linear")
-    if mean and set(shared) != set(own):
-        raise InputError("share: with groups or trends, all coefficients have a mean")
-    check_derived(chosen.derive, own)
-    return shared
+    result = replace(result, throws=each, odd_rows=tuple(odd_rows))
+    return result.with_derived(first.derive)
 
 
 def solved_together(
-    throws: Sequence[Throw],
-    chosen: Sequence[Fitting],
+    requests: Sequence[Request],
     shared: Sequence[str],
     covariates: Covariates,
     progress: Progress | None,
@@ -199,41 +166,36 @@ def solved_together(
 
     Raises
     ------
-    InputError, UnusableFitError : as in `fit_together`.
+    UnusableFitError : as in `fit_together`.
     """
-    any_swept, first = any(one.swept is not None for one in chosen), chosen[0]
-    prepared = [
-        PreparedThrow.of(throw, one, others_swept=any_swept)
-        for throw, one in zip(throws, chosen, strict=True)
-    ]
-    parameters = prepared[0].parameters
+    first = requests[0]
+    parameters = first.parameters
     common = np.isin(parameters.names, (*shared, *parameters.conditions))
-    channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
-    model = Model(find_law(first.law), first.load, parameters.conditions)
-    rounds = Rounds(
-        model,
-        prepared,
-        loss=first.loss,
-        noise=first.noise,
-        shape=(max(channels), max(rows)),
+    shapes = [problem_shape(request.throw) for request in requests]
+    shape = (
+        max(channels for channels, _ in shapes),
+        max(rows for _, rows in shapes),
     )
+    model = Model.of(first)
+    rounds = Rounds(model, requests, shape=shape)
+    _, sides = rounds.starts()
     starts = [
-        one.with_start(values, first.start)
-        for one, values in zip(prepared, rounds.starts()[1][0], strict=True)
+        request.with_given_start(values)
+        for request, values in zip(requests, sides[0], strict=True)
     ]
     tasks = Tasks(
         rounds.problems,
         np.stack(starts),
-        *bounds_of(prepared, common),
+        *bounds_of(requests, common),
         parameters.typical,
-        penalties(prepared, first=True),
+        penalties(requests, first=True),
     )
     solution = _ended(model, tasks, common, progress)
-    every = np.arange(len(prepared))
+    every = np.arange(len(requests))
     while np.isfinite(solution.chi_squared).all() and len(
         rounds.revise(every, solution)
     ):
-        tasks = tasks._replace(start=solution.values, penalty=penalties(prepared))
+        tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
         solution = _ended(model, tasks, common, progress)
     for failure in rounds.failures.values():
         raise failure
@@ -283,18 +245,20 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
     rounds, tasks, solution, common, covariates = together
-    widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
+    widths = widths_of(rounds.model, given, rounds.requests, jointly=True)
     joint_ridges: list[JointRidge] = []
 
     def ridges(stderr: dict[int, float]) -> list[Ridge]:
         joint_ridges.append(follow_jointly(together, solution, stderr))
         return joint_ridges[-1].of_throws
 
-    first_throw = rounds.throws[0]
-    same_names = same_in_all([one.throw for one in rounds.throws], rounds.model.law)
-    same = np.isin(first_throw.parameters.names, [*same_names])
+    first_request = rounds.requests[0]
+    same_names = same_in_all(
+        [request.throw for request in rounds.requests], rounds.model.law
+    )
+    same = np.isin(first_request.parameters.names, [*same_names])
     # With what is usual as a prior, an evening of draws is near a quadratic.
-    evening = same.any() and len(rounds.throws) >= _VARYING
+    evening = same.any() and len(rounds.requests) >= VARYING
     throws = _summarized(
         together,
         solution,
@@ -303,7 +267,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         ridges=None if evening else ridges,
     )
     ridge = joint_ridges[-1] if joint_ridges else None
-    first, parameters = throws[0], first_throw.parameters
+    first, parameters = throws[0], first_request.parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(
@@ -319,7 +283,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     if tasks.penalty.informative:
         by_data = told_by_data(tasks, solution, reduction, shared, held=same)
         departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
-        not_varying = {*same_names, *first_throw.parameters.fixed}
+        not_varying = {*same_names, *first_request.parameters.fixed}
         verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
         by_expression = {
             item.expression: item
@@ -330,7 +294,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     weights = {
         name: own for name, own in known_weights.items() if not own[same[common]].any()
     }
-    of_all = first_throw.parameters.values_of(solution.values[0])
+    of_all = first_request.parameters.values_of(solution.values[0])
     same_values = {name: of_all[name] for name in same_names}
     alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
     of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
@@ -415,7 +379,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     if ended:
         draws = sampled(found.fit, guess, seed)
         # tracks know their coefficients better than these vary: Student's t is exact
-        if not any(one.throw.has_path for one in together.rounds.throws):
+        if not any(one.throw.has_path for one in together.rounds.requests):
             of_others = drawn_for_others(found.fit, guess, draws)
     throws = [
         replace(one, systematics=before.systematics)
@@ -431,7 +395,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         equal.result,
         found,
         together.covariates,
-        Draw(together.rounds.model, together.rounds.throws[0].stone),
+        Draw(together.rounds.model, together.rounds.requests[0].stone),
         at_spins,
         draws,
         ridge,

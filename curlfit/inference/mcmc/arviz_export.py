@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels

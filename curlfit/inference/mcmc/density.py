@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import log_posterior
 from curlfit.numerics.arrays import Booleans, Floats

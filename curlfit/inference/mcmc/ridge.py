@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction.base import START_NAMES
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many

@@ -1,0 +1,28 @@
+"""The outcome of a fit, and what was fitted."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.model import Model
+from curlfit.inference.problem import Problem
+from curlfit.inference.request import Request
+from curlfit.noises import Noise
+
+
+class LeastSquaresFit(NamedTuple):
+    """The outcome of a fit, and what was fitted."""
+
+    request: Request
+    model: Model
+    noise: Noise
+    """as it was estimated"""
+    problem: Problem
+    sigma: dict[str, float]
+    """of the channels for which it was not given"""
+    solution: Solution
+    tried: int
+    """number of initial values tried"""
+    rival: Solution | None = None
+    """another optimum that fits as well"""
