@@ -198,7 +198,7 @@ def _fit_one(
     if saved is None:
         with output.status(f"Fitting {COMPILES}"):
             from curlfit.inference.fit.fit import fit_request
-            from curlfit.inference.fit.rounds import first_problem
+            from curlfit.inference.fit.throw_stack import first_problem
 
             if not sampling.no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling

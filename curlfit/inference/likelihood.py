@@ -2,8 +2,8 @@
 in one place.
 
 Noise is Gaussian, with a sigma for each channel that is given or estimated beforehand
-(see `curlfit.inference.fit.rounds`), and independent from row to row unless a `Noise`
-describes its correlation. An unknown sigma is not estimated together with the
+(see `curlfit.inference.fit.revisions`), and independent from row to row unless a
+`Noise` describes its correlation. An unknown sigma is not estimated together with the
 parameters: where a law is not exact, that likelihood has its maximum in a corner where
 one channel is fitted perfectly at the expense of the others.
 

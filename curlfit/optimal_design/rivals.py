@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import CurlfitError, InputError
-from curlfit.inference.fit.fit import fitted
-from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.systematics import residual_changes, widths_of
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.identifiability import r_factor, visible
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.fit import solved_together
@@ -183,7 +183,7 @@ class Rival:
             max(channels for channels, _ in shapes),
             max(rows for _, rows in shapes),
         )
-        rounds = Rounds(
+        rounds = ThrowStack(
             self.model, requests, shape=shape, batch=side_by_side(len(throws))
         )
         solution_by_throw = []
@@ -210,7 +210,7 @@ class Rival:
         rows = self._rows(joint.rounds, joint.solution)
         return FitTogether(rows, bool(np.all(joint.solution.success)))
 
-    def _rows(self, rounds: Rounds, solutions: Solution) -> Floats:
+    def _rows(self, rounds: ThrowStack, solutions: Solution) -> Floats:
         """What is left of the residuals of each throw whatever its initial state."""
         parameters = rounds.requests[0].parameters
         values = solutions.values

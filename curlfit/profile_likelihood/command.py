@@ -121,7 +121,7 @@ def _source(
 
     def make() -> Any:
         from curlfit.inference.fit.fit import fit_request
-        from curlfit.inference.fit.rounds import first_problem
+        from curlfit.inference.fit.throw_stack import first_problem
         from curlfit.inference.least_squares import prepare_minimize
         from curlfit.numerics.batches import FEW
 

@@ -14,8 +14,8 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
-from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.least_squares import Tasks, solve
 from curlfit.inference.likelihood import predict_channels, predict_many
 from curlfit.inference.model import Model
@@ -229,7 +229,7 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
 def test_a_rough_path_tells_no_exponent():
     throw = Throw.from_events(record(speed=2.1, rest=TEE))
     request = Request.of(throw, Fitting.of(law="power"))
-    start = Rounds(Model.of(request), [request]).starts()[1][0, 0]
+    start = ThrowStack(Model.of(request), [request]).starts()[1][0, 0]
     assert start[1] == LAWS["power"].coefficients()[1].default
     # c v^k over the path, in closed form for k = -1/2: v^2.5 = 2.5 c g s
     assert start[0] == pytest.approx(2.1**2.5 / (2.5 * G * (TEE - HOG)), rel=0.2)

@@ -1,1 +1,1 @@
-"""Least-squares fits of throws: preparation, rounds, uncertainties and records."""
+"""Least-squares fits of throws: problems, revisions, uncertainties and records."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.coefficient_rows import rows_told
-from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.summary import summarize_many
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.identifiability import stderr_told
 from curlfit.inference.joint.population import Together
 from curlfit.inference.request import Request
@@ -94,7 +94,7 @@ def fitted_alone(
     and are not among these."""
     rounds = together.rounds
     names = rounds.requests[0].parameters.names_where(together.common)
-    again = Rounds(
+    again = ThrowStack(
         rounds.model,
         [_by_itself(request, names, held) for request in rounds.requests],
         shape=rounds.problems.observed.shape[1:],

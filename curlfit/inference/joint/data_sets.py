@@ -31,8 +31,9 @@ from curlfit.inference.fit.departures import (
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.problems import bounds_of
+from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
-from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.throw_stack import ThrowStack, at
 from curlfit.inference.identifiability import (
     Bounded,
     Combination,
@@ -43,7 +44,13 @@ from curlfit.inference.identifiability import (
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.population import told_by_data
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
-from curlfit.inference.least_squares import PRECISE, Solution, Tasks, residual_sigma
+from curlfit.inference.least_squares import (
+    PRECISE,
+    Indices,
+    Solution,
+    Tasks,
+    residual_sigma,
+)
 from curlfit.inference.model import Model
 from curlfit.inference.noise.independence import Independence
 from curlfit.inference.parameters import options_of
@@ -169,7 +176,7 @@ class LawOnSets:
             (_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables
         ]
         channels, rows = map(max, zip(*shapes, strict=True))
-        self.rounds = Rounds(self.model, requests, shape=(channels, rows))
+        self.rounds = ThrowStack(self.model, requests, shape=(channels, rows))
         every = np.minimum(np.arange(len(self.owner)), len(requests) - 1)
         problems = _with_tables(
             jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems),
@@ -270,11 +277,14 @@ class LawOnSets:
                 f"{self.model.load} load gives no finite path for "
                 f"{self.sets[number].name}{no_motion_because(self.model.load)}"
             )
-        mine = np.flatnonzero(inside[: self.throws])
-        while len(mine) and len(
-            self.rounds.revise(mine, jax.tree.map(lambda leaf: leaf[mine], found))
-        ):
-            self.tasks.problems.weight[mine] = self.rounds.problems.weight[mine]
+        throws = np.flatnonzero(inside[: self.throws])
+
+        def optima(some: Indices) -> Solution:
+            of_throws: Solution = at(found, some)
+            return of_throws
+
+        for _ in revisions(self.rounds, throws, optima):
+            self.tasks.problems.weight[throws] = self.rounds.problems.weight[throws]
             found = self.optimum(inside, found.values)
         return found, self._noise(found)
 

@@ -18,10 +18,11 @@ from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Ridge
-from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.fit.throw_stack import ThrowStack, at
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.alone import ThrowsAlone, fitted_alone
@@ -40,7 +41,7 @@ from curlfit.inference.joint.variation import (
     variations_of,
     weights_of_known,
 )
-from curlfit.inference.least_squares import Solution, Tasks
+from curlfit.inference.least_squares import Indices, Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.inference.request import Request
@@ -177,7 +178,7 @@ def solved_together(
         max(rows for _, rows in shapes),
     )
     model = Model.of(first)
-    rounds = Rounds(model, requests, shape=shape)
+    rounds = ThrowStack(model, requests, shape=shape)
     _, sides = rounds.starts()
     starts = [
         request.with_given_start(values)
@@ -191,20 +192,28 @@ def solved_together(
         penalties(requests, first=True),
     )
     solution = _ended(model, tasks, common, progress)
-    every = np.arange(len(requests))
-    while np.isfinite(solution.chi_squared).all() and len(
-        rounds.revise(every, solution)
-    ):
+    _require_path(solution, first)
+
+    def optima(throws: Indices) -> Solution:
+        some: Solution = at(solution, throws)
+        return some
+
+    for _ in revisions(rounds, np.arange(len(requests)), optima):
         tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
         solution = _ended(model, tasks, common, progress)
+        _require_path(solution, first)
     for failure in rounds.failures.values():
         raise failure
+    return Together(rounds, tasks, solution, common, covariates)
+
+
+def _require_path(solution: Solution, request: Request) -> None:
+    """Raise `UnusableFitError` where throws have no path under a law."""
     if not np.isfinite(solution.chi_squared).all():
         raise UnusableFitError(
-            f"law {model.law.name} with {first.load} load gives no finite path "
-            "for these throws" + no_motion_because(first.load)
+            f"law {request.law.name} with {request.load} load gives no finite path "
+            "for these throws" + no_motion_because(request.load)
         )
-    return Together(rounds, tasks, solution, common, covariates)
 
 
 def _ended(

@@ -17,7 +17,7 @@ import numpy as np
 
 from curlfit.inference.fit.covariance import Covariance, first_order
 from curlfit.inference.fit.factors import Factors, Reduction, combined
-from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.joint.effects import Covariates, Means
 from curlfit.inference.joint.posterior import Draws
@@ -151,7 +151,7 @@ class Population(NamedTuple):
 class Together(NamedTuple):
     """Throws that are fitted together."""
 
-    rounds: Rounds
+    rounds: ThrowStack
     tasks: Tasks
     solution: Solution
     """their optimum with equal coefficients"""
