@@ -8,7 +8,7 @@ those that take many steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -18,9 +18,6 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from curlfit.friction import Law
-from curlfit.inference.identifiability import inverted
-from curlfit.inference.initial_values import SmoothPath, default_guess
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
@@ -28,7 +25,7 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
+from curlfit.numerics.batches import BATCH, in_batches, stacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -37,14 +34,6 @@ Stacks = tuple[Any, Any, Any, Penalty, Problem]
 
 MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
-# length of a column, over the longest, below which it is rounding error
-_NOTHING = 1e-7
-_ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
-_SAME_START = 1e-3  # typical sizes within which initial values are the same
-_FACTORS = 1.0, 0.3, 3.0  # on the usual coefficients, for other initial values
-_EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
-_APART = 9.0  # ... if the linearized problem expects this much of their distance
-_POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
 
 
 class Control(NamedTuple):
@@ -118,11 +107,18 @@ class Tasks(NamedTuple):
     @classmethod
     def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
         """Single throws: the parameters, the problem and the initial values of each."""
-        each = [
-            cls(problem, start, own.lower, own.upper, own.typical, own.penalty)
-            for own, problem, start in throws
+        tasks = [
+            cls(
+                problem,
+                start,
+                parameters.lower,
+                parameters.upper,
+                parameters.typical,
+                parameters.penalty,
+            )
+            for parameters, problem, start in throws
         ]
-        return stacked(each)._replace(typical=each[0].typical)
+        return stacked(tasks)._replace(typical=tasks[0].typical)
 
     def at(self, which: Indices) -> Tasks:
         """Some of the problems."""
@@ -141,27 +137,26 @@ class Tasks(NamedTuple):
 
     def arguments(self, model: Model, control: Control) -> tuple[Any, ...]:
         """Of the programs that solve them."""
-        penalty, typical = self.penalty, self.typical
+        penalty = self.penalty
+        typical = self.typical
+        common = self.common
         if model.family is not None:
             pad = partial(model.family.padded, model.law)
-            penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
+            penalty = jax.tree.map(pad, penalty)
+            typical = pad(typical, 1.0)
+            if common is not None:
+                common = pad(common.astype(float), 1.0) > 0
         blocks = Blocks.of(np.ones(len(typical), bool))
-        if (common := self.common) is not None:
-            if model.family is not None:
-                common = model.family.padded(model.law, common.astype(float), 1.0) > 0
+        if common is not None:
             blocks = Blocks.of(common, self.problems.observed.shape[1])
-        return (
-            model.of_program,
-            self._loss,
-            (
-                *map(model.vector, (self.start, self.lower, self.upper)),
-                penalty,
-                self.problems,
-            ),
-            typical,
-            blocks,
-            control,
+        stacks = (
+            model.vector(self.start),
+            model.vector(self.lower),
+            model.vector(self.upper),
+            penalty,
+            self.problems,
         )
+        return model.of_program, self._loss, stacks, typical, blocks, control
 
 
 def _solve(
@@ -177,18 +172,15 @@ def _solve(
 
     from curlfit.numerics import bounded_solver as bounded
 
-    def residual(values: Array, problem: Problem) -> Array:
-        def one(values: Array, problem: Problem) -> Array:
-            if loss is not None:
-                problem = problem._replace(loss=loss)
-            return weighted_residuals(model, values, problem)
+    def residual_of_throw(values: Array, problem: Problem) -> Array:
+        if loss is not None:
+            problem = problem._replace(loss=loss)
+        return weighted_residuals(model, values, problem)
 
-        together = problem.observed.ndim > 2
-        return (
-            jax.vmap(one)(values[blocks.index], problem)
-            if together
-            else one(values, problem)
-        )
+    def residual(values: Array, problem: Problem) -> Array:
+        if problem.observed.ndim > 2:  # throws with parameters in common
+            return jax.vmap(residual_of_throw)(values[blocks.index], problem)
+        return residual_of_throw(values, problem)
 
     def solved(
         start: Array, lower: Array, upper: Array, penalty: Penalty, problem: Problem
@@ -200,26 +192,25 @@ def _solve(
             blocks=blocks,
             penalty=penalty,
         )
-        found: Any = optx.least_squares(
+        ended: Any = optx.least_squares(
             residual, solver, start, problem, max_steps=None, throw=False
         )
-        priors = penalty.chi_squared(found.value)
-        state = found.state
+        state = ended.state
         return Solution(
-            found.value,
-            state.residual,
-            state.jacobian,
-            state.evaluations,
-            state.success,
-            priors,
+            values=ended.value,
+            residual=state.residual,
+            jacobian=state.jacobian,
+            steps=state.evaluations,
+            success=state.success,
+            penalty=penalty.chi_squared(ended.value),
         )
 
     if len(stacks[0]) > 1:
         return jax.vmap(solved)(*stacks)
     # Under vmap, both branches of each condition would be computed.
     alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
-    found: Solution = jax.tree.map(lambda leaf: leaf[None], alone)
-    return found
+    stack_of_one: Solution = jax.tree.map(lambda leaf: leaf[None], alone)
+    return stack_of_one
 
 
 _solve_once = compiled("model", "loss")(_solve)
@@ -242,17 +233,17 @@ def solve(
     """
     program = _solve_once if once else _solve_often
     law, loss, stacks, *common = tasks.arguments(model, how)
-    found: Solution = in_batches(
-        lambda *some: program(law, loss, some, *common), stacks, batch
+    solutions: Solution = in_batches(
+        lambda *part: program(law, loss, part, *common), stacks, batch
     )
     if model.family is not None:
         size = tasks.start.shape[-1]
         of_throw = size if tasks.common is None else len(tasks.common)
-        found = found._replace(
-            values=found.values[:, model.columns(size)],
-            jacobian=found.jacobian[..., model.columns(of_throw)],
+        solutions = solutions._replace(
+            values=solutions.values[:, model.columns(size)],
+            jacobian=solutions.jacobian[..., model.columns(of_throw)],
         )
-    return found
+    return solutions
 
 
 def prepare_minimize(
@@ -280,142 +271,42 @@ def minimize_many(
     most : steps after which a solve ends.
     how : how a solve begins and ends, by default as the number of problems demands.
     """
-    count, loss = len(tasks.start), tasks.problems.loss
+    count = len(tasks.start)
     control = (how or PRECISE)._replace(most=most)
     if batch > 1:
         control = (how or _QUICK)._replace(most=min(_FIRST_STEPS, most))
     tasks = tasks._replace(start=np.array(tasks.start))
-    due, interrupted = np.arange(count), np.zeros(count, bool)
-    whole: Any = None
+    optima: Any = None
+    due = np.arange(count)
     while len(due):
-        now = due[loss[due] == loss[due[0]]][:batch]
-        found = solve(model, tasks.at(now), control, batch, once=batch < BATCH)
-        if whole is None:
-            whole = jax.tree.map(
-                lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found
+        is_interrupted = np.zeros(count, bool)
+        for part in _of_one_loss(due, tasks.problems.loss, batch):
+            reached = solve(model, tasks.at(part), control, batch, once=batch < BATCH)
+            if optima is None:
+                optima = jax.tree.map(
+                    lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), reached
+                )
+            steps = optima.steps[part] + reached.steps
+            is_interrupted[part] = (
+                ~reached.success & (reached.steps >= control.most) & (steps < most)
             )
-        steps = whole.steps[now] + found.steps
-        for leaf, new in zip(whole, found._replace(steps=steps), strict=True):
-            leaf[as_slice(now)] = new
-        tasks.start[now] = found.values
-        interrupted[now] = (
-            ~found.success & (found.steps >= control.most) & (steps < most)
-        )
-        due = np.setdiff1d(due, now)
-        if not len(due):
-            due, control = (
-                np.flatnonzero(interrupted),
-                control._replace(most=2 * control.most),
-            )
-            interrupted[:] = False
-    solution: Solution = whole
+            for of_all, of_part in zip(
+                optima, reached._replace(steps=steps), strict=True
+            ):
+                of_all[as_slice(part)] = of_part
+            tasks.start[part] = reached.values
+        due = np.flatnonzero(is_interrupted)
+        control = control._replace(most=2 * control.most)
+    solution: Solution = optima
     return solution
 
 
-def optima(
-    model: Model, tasks: Tasks, starts: Sequence[Sequence[Floats]], batch: int
-) -> list[list[Solution]]:
-    """Of each problem, what is reached from each of its initial values."""
-    owner = np.repeat(np.arange(len(starts)), [*map(len, starts)])
-    found: list[list[Solution]] = [[] for _ in starts]
-    if len(owner):
-        some = tasks.at(owner)._replace(
-            start=np.concatenate([one for one in starts if one])
-        )
-        each = unstacked(minimize_many(model, some, batch))
-        for place, one in zip(owner, each, strict=True):
-            found[place].append(one)
-    return found
-
-
-def best_first(solutions: Iterable[Solution]) -> list[Solution]:
-    """The optima of a problem whose chi squared is finite, the first of the best
-    before others."""
-    found: list[Solution] = []
-    for one in solutions:
-        if np.isfinite(one.chi_squared):
-            better = bool(found) and one.objective < (1 - 1e-9) * found[0].objective
-            found.insert(0 if better else len(found), one)
-    return found
-
-
-def starts_to_try(
-    law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
-) -> tuple[list[Floats], list[Floats]]:
-    """Initial values of which all are to be tried, since they may fit
-    equally, and others.
-
-    `sides` are those of a throw, from `start_values_of_sides`.
-    """
-    apart: list[Floats] = []
-    for one in sides:
-        if all((np.abs(one - other) > _SAME_START * typical).any() for other in apart):
-            apart.append(one)
-    defaults = np.array([default_guess(item) for item in law.coefficients()])
-    others = np.array([apart[0]] * len(_FACTORS))
-    others[:, : len(defaults)] = np.outer(_FACTORS, defaults)
-    return apart, [*np.clip(others, *bounds)]
-
-
-def fits_equally(best: Solution, other: Solution) -> Booleans:
-    """Whether other optima of the same problems fit as well as the best, within
-    two standard deviations of the noise, though to first order about the best
-    they should not."""
-    best, other = (jax.tree.map(np.asarray, one) for one in (best, other))
-    count = np.maximum((best.jacobian != 0).any(-1).sum((-1, -2)), 1)
-    noise = best.objective / count
-    move = best.jacobian @ (other.values - best.values)[..., None, :, None]
-    expected = (move**2).sum((-1, -2, -3))
-    worse = other.objective - best.objective
-    return other.success & (worse < _EQUAL * noise) & (expected > _APART * noise)
-
-
-def needs_restart(
-    solutions: Solution, paths: SmoothPath, problems: Problem
-) -> Booleans:
-    """Which of many optima are so poor that other initial values are worth trying."""
-    observed, weight = problems.observed[:, :3], problems.weight[:, :3]
-    there = weight > 0
-    n = there.sum(-1)
-    residual = solutions.residual[:, :3] / np.where(there, weight, np.inf)
-    rms = np.sqrt((residual**2).sum(-1) / np.maximum(n, 1))
-    highest = np.where(there, observed, -np.inf).max(-1)
-    lowest = np.where(there, observed, np.inf).min(-1)
-    over_polynomial, over_range = _POOR
-    off = (rms > over_polynomial * paths.rms[:, :3]) & (
-        rms > over_range * (highest - lowest)
-    )
-    ended = solutions.success & np.isfinite(solutions.chi_squared)
-    return ~np.asarray(ended) | (off & (n >= 3)).any(-1)
-
-
-def residual_sigma(
-    solutions: Solution, problems: Problem, free: Booleans
-) -> NDArray[np.float64]:
-    """sqrt(sum of squares/(n - p)) by channel of many throws; p is a channel's share
-    of parameters.
-
-    Parameters
-    ----------
-    free : which parameters were fitted, shape (throws, parameters).
-
-    Returns
-    -------
-    In the channels' units, shape (throws, channels); 0 where nothing was observed.
-    """
-    jacobian = np.asarray(solutions.jacobian)
-    normal = jacobian.mT @ jacobian * (free[:, None, :, None] & free[:, None, None, :])
-    whole = normal.sum(1)
-    size = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
-    scale = inverted(size, size > _NOTHING * size.max(1, initial=0.0)[:, None])
-    squares, axes = np.linalg.eigh(whole * scale[:, None] * scale[..., None])
-    axes = axes * scale[..., None]
-    inverse = axes * inverted(squares, squares > _ROUNDING)[:, None] @ axes.mT
-    paid = (normal * inverse[:, None]).sum((-1, -2))
-    dof = np.maximum((problems.weight > 0).sum(-1) - paid, 1.0)
-    largest = problems.weight.max(-1)
-    rms = np.sqrt((solutions.residual**2).sum(-1) / dof)
-    return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
+def _of_one_loss(due: Indices, losses: Any, batch: int) -> Iterator[Indices]:
+    """The problems that are due, as many at a time as are solved side by side, all of
+    them with one loss: one program then serves them."""
+    for loss in np.unique(losses[due]):
+        alike = due[losses[due] == loss]
+        yield from np.split(alike, range(batch, len(alike), batch))
 
 
 def as_slice(indices: Indices) -> Indices | slice:

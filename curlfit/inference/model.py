@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily
-from curlfit.inference.request import Request
 from curlfit.numerics.arrays import Floats
+
+if TYPE_CHECKING:
+    from curlfit.inference.request import Request
 
 
 class Model(NamedTuple):

@@ -16,7 +16,8 @@ from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
-from curlfit.inference.least_squares import Solution, residual_sigma
+from curlfit.inference.fit.residuals import residual_sigma
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 
 NAMES = ("mu1_xi", "mu2_xi")

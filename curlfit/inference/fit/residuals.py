@@ -1,4 +1,4 @@
-"""Residuals of a fit, and outliers."""
+"""Residuals of fits, the sigmas that they show, and outliers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from curlfit.inference.fit.entries import Outlier
+from curlfit.inference.identifiability import inverted
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.problem import Problem
@@ -19,6 +20,9 @@ _FEWEST = 10  # values of a channel in which outliers are sought
 _FEW = 50  # values, below which a single one pulls the fit
 _BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
 _SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
+# length of a column, over the longest, below which it is rounding error
+_NO_LENGTH = 1e-7
+_ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
 _NEIGHBOURS = 9  # rows of a running median, in which up to four outliers do not count
 
 
@@ -33,6 +37,39 @@ def residuals_of(
         return -solutions.residual / np.where(observed, problems.weight, 1.0)
     channels = observed.shape[1]
     return np.where(observed, problems.observed - paths[:, :channels], 0.0)
+
+
+def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> Floats:
+    """sqrt(sum of squares/(n - p)) by channel of many throws; p is a channel's share
+    of parameters.
+
+    Parameters
+    ----------
+    free : which parameters were fitted, shape (throws, parameters).
+
+    Returns
+    -------
+    In the channels' units, shape (throws, channels); 0 where nothing was observed.
+    """
+    jacobian = np.asarray(solutions.jacobian)
+    of_free = free[:, None, :, None] & free[:, None, None, :]
+    normal = jacobian.mT @ jacobian * of_free
+    of_all_channels = normal.sum(1)
+    # The normal matrix with columns of length 1, so that its smallest eigenvalues tell
+    # rounding errors from directions that are hardly determined.
+    length = np.sqrt(np.diagonal(of_all_channels, axis1=1, axis2=2))
+    longest = length.max(1, initial=0.0)[:, None]
+    scale = inverted(length, length > _NO_LENGTH * longest)
+    eigenvalues, axes = np.linalg.eigh(
+        of_all_channels * scale[:, None] * scale[..., None]
+    )
+    axes = axes * scale[..., None]
+    inverse = axes * inverted(eigenvalues, eigenvalues > _ROUNDING)[:, None] @ axes.mT
+    share = (normal * inverse[:, None]).sum((-1, -2))
+    dof = np.maximum((problems.weight > 0).sum(-1) - share, 1.0)
+    largest = problems.weight.max(-1)
+    rms = np.sqrt((solutions.residual**2).sum(-1) / dof)
+    return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
 
 
 def outliers_of(

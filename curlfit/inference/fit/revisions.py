@@ -24,8 +24,9 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.inference.fit.problems import bounds_of, linearized
+from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.fit.throw_stack import ThrowStack, at
-from curlfit.inference.least_squares import Indices, Solution, residual_sigma
+from curlfit.inference.least_squares import Indices, Solution
 from curlfit.inference.likelihood import (
     SIGMA_FLOOR,
     predict_many,

@@ -9,29 +9,36 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import NetLaw, no_motion_because
+from curlfit.friction import Law, NetLaw, no_motion_because
 from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.initial_values import usual_where_astray
+from curlfit.inference.initial_values import (
+    SmoothPath,
+    default_guess,
+    usual_where_astray,
+)
 from curlfit.inference.least_squares import (
     Indices,
     Solution,
     Tasks,
-    best_first,
-    fits_equally,
-    needs_restart,
-    optima,
+    minimize_many,
     prepare_minimize,
-    starts_to_try,
 )
 from curlfit.inference.likelihood import prepare_channels
+from curlfit.inference.problem import Problem
 from curlfit.losses import loss_at
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 
+_SAME_START = 1e-3  # typical sizes within which initial values are the same
+_FACTORS = 1.0, 0.3, 3.0  # on the usual coefficients, for other initial values
+_ROUNDING = 1e-9  # share of chi squared by which one optimum is not better than another
+_EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
+_APART = 9.0  # ... if the linearized problem expects this much of their distance
+_POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
 _MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
 
 
@@ -96,8 +103,19 @@ class _Search:
     ) -> list[list[Solution]]:
         """What is reached from some initial values of each throw; the tasks may have
         other bounds."""
-        tasks = self.tasks if tasks is None else tasks
-        return optima(self.stack.model, tasks, starts, self.stack.batch)
+        reached: list[list[Solution]] = [[] for _ in starts]
+        counts = [len(of_throw) for of_throw in starts]
+        if not any(counts):
+            return reached
+        rows = np.repeat(np.arange(len(starts)), counts)  # throw of each start
+        values = np.concatenate([of_throw for of_throw in starts if of_throw])
+        tasks = (self.tasks if tasks is None else tasks).at(rows)
+        solutions = minimize_many(
+            self.stack.model, tasks._replace(start=values), self.stack.batch
+        )
+        for row, solution in zip(rows, unstacked(solutions), strict=True):
+            reached[row].append(solution)
+        return reached
 
     def _tried(self) -> list[list[Solution]]:
         """What is reached from the initial values of each throw: from those that may
@@ -107,7 +125,7 @@ class _Search:
         other_starts = []
         for row, request in enumerate(self.stack.requests):
             bounds = self.tasks.lower[row], self.tasks.upper[row]
-            first, others = starts_to_try(
+            first, others = _starts_to_try(
                 law, self._sides[:, row], bounds, self.tasks.typical
             )
             if request.start:
@@ -120,10 +138,12 @@ class _Search:
             first_starts.append(first)
             other_starts.append(others)
         tried = self._reached(first_starts)
-        best = stacked([(best_first(solutions) or solutions)[0] for solutions in tried])
+        best = stacked(
+            [(_best_first(solutions) or solutions)[0] for solutions in tried]
+        )
         # If the first optimum is poor, all are tried: a later one may be local
         # and look good.
-        poor = needs_restart(best, self._paths, self.stack.problems)
+        poor = _needs_restart(best, self._paths, self.stack.problems)
         restarts = [
             others if is_poor else []
             for others, is_poor in zip(other_starts, poor, strict=True)
@@ -243,17 +263,83 @@ class _Search:
                 "path from any start" + no_motion_because(model.load)
             )
         best, *others = self.optima[row]
-        rivals = [other for other in others if fits_equally(best, other)]
+        rivals = [other for other in others if _fits_equally(best, other)]
         rival = rivals[0] if rivals else None
         return self.stack.record(row, best, tried, rival)
+
+
+def _starts_to_try(
+    law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
+) -> tuple[list[Floats], list[Floats]]:
+    """Initial values of which all are to be tried, since they may fit
+    equally, and others.
+
+    `sides` are those of a throw, from `start_values_of_sides`.
+    """
+    apart: list[Floats] = []
+    for values in sides:
+        away = [np.abs(values - other) > _SAME_START * typical for other in apart]
+        if all(differs.any() for differs in away):
+            apart.append(values)
+    coefficients = law.coefficients()
+    usual = np.array([default_guess(coefficient) for coefficient in coefficients])
+    others = np.array([apart[0]] * len(_FACTORS))
+    others[:, : len(usual)] = np.outer(_FACTORS, usual)
+    return apart, [*np.clip(others, *bounds)]
+
+
+def _best_first(solutions: Iterable[Solution]) -> list[Solution]:
+    """The optima of a problem whose chi squared is finite, the first of the best
+    before others."""
+    ordered: list[Solution] = []
+    for solution in solutions:
+        if not np.isfinite(solution.chi_squared):
+            continue
+        is_better = (
+            bool(ordered)
+            and solution.objective < (1 - _ROUNDING) * ordered[0].objective
+        )
+        ordered.insert(0 if is_better else len(ordered), solution)
+    return ordered
 
 
 def _best_and_rival(solutions: Iterable[Solution]) -> list[Solution]:
     """The best of the optima of a throw, and the first other one that fits equally, if
     there is one; empty where none is finite."""
-    best_and_others = best_first(solutions)
+    best_and_others = _best_first(solutions)
     if not best_and_others:
         return []
     best, *others = best_and_others
-    rivals = [other for other in others if fits_equally(best, other)]
+    rivals = [other for other in others if _fits_equally(best, other)]
     return [best, *rivals[:1]]
+
+
+def _fits_equally(best: Solution, other: Solution) -> bool:
+    """Whether another optimum of the same problem fits as well as the best, within
+    two standard deviations of the noise, though to first order about the best
+    it should not."""
+    count = max(int((best.jacobian != 0).any(-1).sum()), 1)
+    noise = best.objective / count
+    expected = ((best.jacobian @ (other.values - best.values)) ** 2).sum()
+    rise = other.objective - best.objective
+    return bool(other.success and rise < _EQUAL * noise and expected > _APART * noise)
+
+
+def _needs_restart(
+    solutions: Solution, paths: SmoothPath, problems: Problem
+) -> Booleans:
+    """Which of many optima are so poor that other initial values are worth trying."""
+    observed = problems.observed[:, :3]
+    weight = problems.weight[:, :3]
+    is_seen = weight > 0
+    count = is_seen.sum(-1)
+    residual = solutions.residual[:, :3] / np.where(is_seen, weight, np.inf)
+    rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
+    highest = np.where(is_seen, observed, -np.inf).max(-1)
+    lowest = np.where(is_seen, observed, np.inf).min(-1)
+    over_polynomial, over_range = _POOR
+    is_poor = (rms > over_polynomial * paths.rms[:, :3]) & (
+        rms > over_range * (highest - lowest)
+    )
+    ended = solutions.success & np.isfinite(solutions.chi_squared)
+    return ~np.asarray(ended) | (is_poor & (count >= 3)).any(-1)

@@ -12,13 +12,14 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of
+from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.initial_values import (
     SmoothPath,
     default_guess,
     smooth,
     start_values_of_sides,
 )
-from curlfit.inference.least_squares import Indices, Solution, as_slice, residual_sigma
+from curlfit.inference.least_squares import Indices, Solution, as_slice
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.model import Model
 from curlfit.inference.noise.whitening import Whitener

@@ -31,6 +31,7 @@ from curlfit.inference.fit.departures import (
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.problems import bounds_of
+from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
 from curlfit.inference.fit.throw_stack import ThrowStack, at
@@ -49,7 +50,6 @@ from curlfit.inference.least_squares import (
     Indices,
     Solution,
     Tasks,
-    residual_sigma,
 )
 from curlfit.inference.model import Model
 from curlfit.inference.noise.independence import Independence
