@@ -8,7 +8,7 @@ those that take many steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
