@@ -43,21 +43,21 @@ _USUAL_SPEED = 2.0  # m/s, where no measurement determines it
 _ASTRAY = 20.0
 
 
-def default_guess(item: Coefficient) -> float:
+def default_guess(coefficient: Coefficient) -> float:
     """Initial guess of a coefficient; an optional one that is fitted is not at
     its default."""
-    return item.typical if item.optional else item.default
+    return coefficient.typical if coefficient.optional else coefficient.default
 
 
 def usual_where_astray(law: type[Law], values: Floats, typical: Floats) -> Floats:
     """Initial guesses of the coefficients that are so far from these that they hardly
     act any more; NaN for the other parameters."""
-    found = np.full(len(values), np.nan)
-    for place, item in enumerate(law.coefficients()):
-        usual = default_guess(item)
-        if abs(values[place] - usual) > _ASTRAY * typical[place]:
-            found[place] = usual
-    return found
+    usual_values = np.full(len(values), np.nan)
+    for index, coefficient in enumerate(law.coefficients()):
+        usual = default_guess(coefficient)
+        if abs(values[index] - usual) > _ASTRAY * typical[index]:
+            usual_values[index] = usual
+    return usual_values
 
 
 class SmoothPath(NamedTuple):
@@ -85,37 +85,41 @@ def smooth(problems: Problem) -> SmoothPath:
     ----------
     problems : of many throws, as `stacked` returns them.
     """
-    t, seen, observed = problems.times, problems.weight > 0, problems.observed
-    shown = np.where(seen[:, :2], observed[:, :2], np.nan)
-    last = np.array(
-        [last_motion(*one) for one in zip(t, shown[:, 0], shown[:, 1], strict=True)]
-    )
+    t = problems.times
+    observed = problems.observed
+    is_seen = problems.weight > 0
+    x, y = np.moveaxis(np.where(is_seen[:, :2], observed[:, :2], np.nan), 1, 0)
+    last = np.array([last_motion(*of_throw) for of_throw in zip(t, x, y, strict=True)])
     span = np.maximum(np.where(last < 0.9 * t[:, -1], last, t[:, -1]), 1e-9)
-    use = seen & (t <= span[:, None])[:, None]
-    n = use.sum(-1)
-    degree = np.minimum(_DEGREE, np.maximum(np.minimum(2, n - 1), (n - 1) // 3))
-    part = (np.arange(_DEGREE + 1) <= degree[..., None]) & (n >= 2)[..., None]
+    is_used = is_seen & (t <= span[:, None])[:, None]
+    count = is_used.sum(-1)
+    degree = np.minimum(_DEGREE, np.maximum(np.minimum(2, count - 1), (count - 1) // 3))
+    is_known = count >= 2
+    terms = (np.arange(_DEGREE + 1) <= degree[..., None]) & is_known[..., None]
+    # Linear least squares of each channel; the right-hand side is the last column.
     basis = chebvander(2 * t / span[:, None] - 1, _DEGREE)
-    few = r_factor(
-        np.concatenate([basis[:, None] * part[:, :, None], observed[..., None]], -1)
-        * use[..., None]
+    columns = np.concatenate(
+        [basis[:, None] * terms[:, :, None], observed[..., None]], -1
     )
-    matrix = few[..., :-1, :-1] + np.eye(_DEGREE + 1) * ~part[..., None, :]
-    found = np.linalg.solve(matrix, few[..., :-1, -1:])[..., 0] * part
-    rms = np.maximum(np.abs(few[..., -1, -1]) / np.sqrt(np.maximum(n, 1)), 1e-6)
-    known = n >= 2
-    curves = np.pad(found, ((0, 0), (0, 0), (0, 1)))  # an integral has one term more
-    if len(found[0]) > 3:
-        risen = chebint(found[:, 3:], lbnd=-1, axis=-1) * span[:, None, None] / 2
-        placeless = ~known[:, 0] & ~known[:, 1] & known[:, 3]
-        angleless = ~known[:, 2] & known[:, 4]
-        curves[placeless, 1], curves[angleless, 2] = (
-            risen[placeless, 0],
-            risen[angleless, 1],
-        )
+    triangle = r_factor(columns * is_used[..., None])
+    matrix = triangle[..., :-1, :-1] + np.eye(_DEGREE + 1) * ~terms[..., None, :]
+    series = np.linalg.solve(matrix, triangle[..., :-1, -1:])[..., 0] * terms
+    rms = np.abs(triangle[..., -1, -1]) / np.sqrt(np.maximum(count, 1))
+    rms = np.where(is_known, np.maximum(rms, 1e-6), np.inf)
+    # An integral has one term more.
+    curves = np.pad(series[:, :3], ((0, 0), (0, 0), (0, 1)))
+    known = is_known[:, :3].copy()
+    if observed.shape[1] > 3:
+        half = span[:, None] / 2
+        distance = chebint(series[:, 3], lbnd=-1, axis=-1) * half
+        turned = chebint(series[:, 4], lbnd=-1, axis=-1) * half
+        placeless = ~is_known[:, 0] & ~is_known[:, 1] & is_known[:, 3]
+        angleless = ~is_known[:, 2] & is_known[:, 4]
+        curves[placeless, 1] = distance[placeless]
+        curves[angleless, 2] = turned[angleless]
         known[:, 1] |= placeless
         known[:, 2] |= angleless
-    return SmoothPath(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
+    return SmoothPath(span, curves, known, rms)
 
 
 def start_values(
@@ -144,55 +148,55 @@ def start_values(
         smallest ones.
     batch : number of throws computed together.
     """
-    law = model.law
-    k = len(law.coefficients())
+    coefficients = model.law.coefficients()
+    k = len(coefficients)
     moving = _moving(path, spin)
-    use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
-    if use.shape[1] > 3:
-        # the positions determine it already
-        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]
-    free = np.full((len(lower), len(START)), np.inf)
-    low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
-    found = np.zeros_like(low)
-    found[:, :k] = np.clip(
-        [default_guess(item) for item in law.coefficients()], low[:, :k], high[:, :k]
-    )
-    typical = np.array([item.typical for item in law.coefficients()])
-    going = np.arange(len(found))
+    is_used = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
+    if is_used.shape[1] > 3:
+        # The positions determine the speed already.
+        is_used[:, 3] &= ~is_used[:, :2].any((1, 2))[:, None]
+    unbounded = np.full((len(lower), len(START)), np.inf)
+    low = np.hstack([lower[:, :k], -unbounded])
+    high = np.hstack([upper[:, :k], unbounded])
+    values = np.zeros_like(low)
+    usual = [default_guess(coefficient) for coefficient in coefficients]
+    values[:, :k] = np.clip(usual, low[:, :k], high[:, :k])
+    typical = np.array([coefficient.typical for coefficient in coefficients])
+    due = np.arange(len(values))
     for step in range(3):
-        here: Any = jax.tree.map(
-            lambda leaf, going=going: leaf[going], (problems, path, moving)
+        of_due: Any = jax.tree.map(
+            lambda leaf, due=due: leaf[due], (problems, path, moving)
         )
-        nominal = found[going, :k]
+        nominal = values[due, :k]
         a, by_coefficient = accelerations_and_slopes(
-            model, nominal, typical, here[0].stone, here[2].measured, batch
+            model, nominal, typical, of_due[0].stone, of_due[2].measured, batch
         )
         linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
-        slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
-        matrix, right = _design(np.nan_to_num(slopes), use[going], *here)
-        about = matrix, right, low[going], high[going]
+        columns = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
+        matrix, right = _design(np.nan_to_num(columns), is_used[due], *of_due)
+        problem = matrix, right, low[due], high[due]
         if mirrored and step == 0:
-            nearest = _bounded_least_squares(*about, found)
-            found = np.clip(
-                2 * _bounded_least_squares(*about, 0 * found) - nearest, low, high
-            )
-        found[going] = _bounded_least_squares(*about, found[going])
-        bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
-        going = going[(bent | np.isnan(a)).any((1, 2))]
-        if not len(going):
+            nearest_usual = _bounded_least_squares(*problem, values)
+            nearest_zero = _bounded_least_squares(*problem, 0 * values)
+            values = np.clip(2 * nearest_zero - nearest_usual, low, high)
+        values[due] = _bounded_least_squares(*problem, values[due])
+        is_bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
+        due = due[(is_bent | np.isnan(a)).any((1, 2))]
+        if not len(due):
             break
-    conditions, state = (
-        assumed_conditions(model, problems),
-        _state(found[:, k:], path, moving, spin),
-    )
-    return np.clip(np.hstack([found[:, :k], conditions, state]), lower, upper)
+    conditions = assumed_conditions(model, problems)
+    state = _state(values[:, k:], path, moving, spin)
+    return np.clip(np.hstack([values[:, :k], conditions, state]), lower, upper)
 
 
-def _state(found: Floats, path: SmoothPath, moving: _Moving, spin: float) -> Floats:
+def _state(
+    components: Floats, path: SmoothPath, moving: _Moving, spin: float
+) -> Floats:
     """Initial states, in the order of `START`, from x0, vx0, y0, vy0, phi0, omega0."""
-    x0, vx0, y0, vy0, phi0, omega0 = found.T
+    x0, vx0, y0, vy0, phi0, omega0 = components.T
     turning = path.known[:, 2]
-    v, first = moving.measured[:, 0, 0], moving.velocity[:, :, 0].T
+    v = moving.measured[:, 0, 0]
+    first = moving.velocity[:, :, 0].T
     slow = (v > 0.02) & (np.hypot(vx0, vy0) < 0.2 * v)
     velocity = np.where(slow, first, (vx0, vy0))
     return np.stack(
@@ -224,22 +228,23 @@ def start_values_of_sides(
     curl; without x it does not tell this side. Values with the most usual coefficients
     come first. Arguments as in `start_values`.
     """
-    about = model, problems, path, lower, upper
+    arguments = model, problems, path, lower, upper
     if path.known.all():
-        return start_values(*about, batch=batch)[None]
-    found = np.stack(
+        return start_values(*arguments, batch=batch)[None]
+    sides = np.stack(
         [
-            start_values(*about, spin=spin, mirrored=mirrored, batch=batch)
+            start_values(*arguments, spin=spin, mirrored=mirrored, batch=batch)
             for mirrored in (False, True)
             for spin in (1.0, -1.0)
         ]
     )
-    items = model.law.coefficients()
-    usual = np.array([default_guess(item) for item in items])
-    typical = np.array([item.typical for item in items])
-    away = (((found[..., : len(items)] - usual) / typical) ** 2).sum(-1)
+    coefficients = model.law.coefficients()
+    usual = np.array([default_guess(coefficient) for coefficient in coefficients])
+    typical = np.array([coefficient.typical for coefficient in coefficients])
+    of_law = sides[..., : len(coefficients)]
+    away = (((of_law - usual) / typical) ** 2).sum(-1)
     order = np.argsort(np.round(away, 6), 0, kind="stable")
-    return np.take_along_axis(found, order[..., None], 0)
+    return np.take_along_axis(sides, order[..., None], 0)
 
 
 class _Moving(NamedTuple):
@@ -252,22 +257,28 @@ class _Moving(NamedTuple):
 
 
 def _moving(path: SmoothPath, spin: float) -> _Moving:
-    size, places = path.curves.shape[-1], np.linspace(0, 1, POINTS)
-    values, slopes = chebvander(2 * places - 1, size - 1), chebder(np.eye(size))
-    pace = path.curves @ (values[:, :-1] @ slopes).T * (2 / path.span[:, None, None])
-    grid = path.span[:, None] * places
-    unknown_y, turning = ~path.known[:, 1], path.known[:, 2, None]
-    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * places)
-    omega = np.where(turning, pace[:, 2], spin)
+    size = path.curves.shape[-1]
+    shares = np.linspace(0, 1, POINTS)  # of the span
+    values = chebvander(2 * shares - 1, size - 1)
+    slopes = values[:, :-1] @ chebder(np.eye(size))
+    rates = path.curves @ slopes.T * (2 / path.span[:, None, None])
+    grid = path.span[:, None] * shares
+    unknown_y = ~path.known[:, 1]
+    turning = path.known[:, 2, None]
+    rates[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * shares)
+    omega = np.where(turning, rates[:, 2], spin)
     turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
-    velocity = pace[:, :2]
-    return _Moving(
-        velocity, np.stack([np.hypot(*velocity.swapaxes(0, 1)), omega, turned, grid], 1)
-    )
+    velocity = rates[:, :2]
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    return _Moving(velocity, np.stack([speed, omega, turned, grid], 1))
 
 
 def _design(
-    slopes: Floats, use: Booleans, problems: Problem, path: SmoothPath, moving: _Moving
+    slopes: Floats,
+    is_used: Booleans,
+    problems: Problem,
+    path: SmoothPath,
+    moving: _Moving,
 ) -> tuple[Floats, Floats]:
     """Linear least-squares problem for coefficients, x0, vx0, y0, vy0, phi0, omega0,
     in few rows.
@@ -276,13 +287,15 @@ def _design(
     ----------
     slopes : accelerations (xi, eta, angular) per unit of each coefficient, and those
         that depend on none, shape (throws, 3, n, coefficients + 1).
+    is_used : which values are fitted, shape (throws, channels, rows).
 
     Returns
     -------
     Matrices, of shape (throws, rows, coefficients + 6), and right-hand sides.
     """
     heading = np.arctan2(moving.velocity[:, 0], moving.velocity[:, 1])[..., None]
-    s, c = np.sin(heading), np.cos(heading)
+    s = np.sin(heading)
+    c = np.cos(heading)
     in_ice = np.stack(  # from the moving frame to x, y, phi
         [
             slopes[:, 0] * c + slopes[:, 1] * s,
@@ -293,57 +306,63 @@ def _design(
     )
     step = path.span[:, None] / (POINTS - 1)
     along_last = np.moveaxis(in_ice, 2, -1)
-    once = running_integral(along_last, step[..., None, None])
-    twice = np.moveaxis(running_integral(once, step[..., None, None]), -1, 2)
-    once = np.moveaxis(once, -1, 2)
+    integral = running_integral(along_last, step[..., None, None])
+    double_integral = running_integral(integral, step[..., None, None])
+    once = np.moveaxis(integral, -1, 2)
+    twice = np.moveaxis(double_integral, -1, 2)
 
-    channels, rows = use.shape[1:]
-    k, times = slopes.shape[-1] - 1, problems.times
-    place = np.minimum(times / step, POINTS - 1.0)
-    below = np.minimum(place.astype(int), POINTS - 2)
-    share, throw = (place - below)[..., None], np.arange(len(times))[:, None]
+    # Each row lies between two points of the grid along the path.
+    times = problems.times
+    on_grid = np.minimum(times / step, POINTS - 1.0)
+    below = np.minimum(on_grid.astype(int), POINTS - 2)
+    share = (on_grid - below)[..., None]
+    throw = np.arange(len(times))[:, None]
+    channels, rows = is_used.shape[1:]
+    k = slopes.shape[-1] - 1
     design = np.zeros((len(times), channels, rows, k + len(START) + 1))
-    for row in range(channels):
+    for channel in range(channels):
         # Position and angle are integrated twice, speed (along the initial heading)
         # and spin once.
-        series, axis = (twice, row) if row < 3 else (once, row - 2)
-        early, late = (series[throw, axis, below + here] for here in (0, 1))
-        own = early + share * (late - early)
-        design[:, row, :, :k] = own[..., :k]
-        design[:, row, :, k + 2 * axis] = 1.0 if row < 3 else 0.0
-        design[:, row, :, k + 2 * axis + 1] = times if row < 3 else 1.0
-        design[:, row, :, -1] = problems.observed[:, row] - own[..., k]
+        is_position = channel < 3
+        series = twice if is_position else once
+        axis = channel if is_position else channel - 2
+        before = series[throw, axis, below]
+        after = series[throw, axis, below + 1]
+        at_rows = before + share * (after - before)
+        start = k + 2 * axis  # column of the position, before that of the velocity
+        design[:, channel, :, :k] = at_rows[..., :k]
+        design[:, channel, :, start] = 1.0 if is_position else 0.0
+        design[:, channel, :, start + 1] = times if is_position else 1.0
+        design[:, channel, :, -1] = problems.observed[:, channel] - at_rows[..., k]
     design = np.where(np.isfinite(design).all((2, 3), keepdims=True), design, 0.0)
-    design *= (use / path.rms[..., None])[..., None]
-    few = r_factor(design.reshape(len(times), channels * rows, -1))
-    return few[..., :-1], few[..., -1]
+    design *= (is_used / path.rms[..., None])[..., None]
+    triangle = r_factor(design.reshape(len(times), channels * rows, -1))
+    return triangle[..., :-1], triangle[..., -1]
 
 
 def _bounded_least_squares(
-    matrix: Floats, right: Floats, low: Floats, high: Floats, nominal: Floats
+    matrix: Floats, right: Floats, lower: Floats, upper: Floats, nominal: Floats
 ) -> Floats:
     """Linear least squares of many throws within bounds; the solution nearest to the
     nominal one where it is not unique. The smallest could be where by symmetry chi
     squared has a saddle point.
     """
-    right, low, high = (
-        right - (matrix @ nominal[..., None])[..., 0],
-        low - nominal,
-        high - nominal,
-    )
+    right = right - (matrix @ nominal[..., None])[..., 0]
+    low = lower - nominal
+    high = upper - nominal
     size = np.linalg.norm(matrix, axis=1)
     size[size <= _NOTHING * size.max(1, keepdims=True)] = np.inf  # has no effect: 0
     held = np.full_like(low, np.nan)
     solution = np.zeros_like(low)
     for _ in range(low.shape[1]):
         free = np.isnan(held)
-        known = (matrix @ np.where(free, 0.0, held)[..., None])[..., 0]
-        left, singular, rows = np.linalg.svd(
+        of_held = (matrix @ np.where(free, 0.0, held)[..., None])[..., 0]
+        left, singular, axes = np.linalg.svd(
             matrix * np.where(free, 1 / size, 0.0)[:, None], full_matrices=False
         )
         inverse = inverted(singular, singular > _FAINT * singular[:, :1])[..., None]
-        found = rows.mT @ (inverse * (left.mT @ (right - known)[..., None]))
-        solution = np.where(free, found[..., 0] / size, held)
+        scaled = axes.mT @ (inverse * (left.mT @ (right - of_held)[..., None]))
+        solution = np.where(free, scaled[..., 0] / size, held)
         outside = free & ((solution < low) | (solution > high))
         if not outside.any():
             break
@@ -370,8 +389,8 @@ def accelerations_along(
     batch : number of throws computed together.
     """
     program = partial(_accelerations, model.of_program.law, model.load)
-    found: Any = in_batches(program, (model.vector(coefficients), stones, paths), batch)
-    return np.asarray(found)
+    arguments = model.vector(coefficients), stones, paths
+    return np.asarray(in_batches(program, arguments, batch))
 
 
 def accelerations_and_slopes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -51,7 +51,7 @@ path stays the same as friction and spin grow."""
 
 def parameter_names(law: type[Law]) -> list[str]:
     """Names of all possible parameters of a fit of a law, in order."""
-    return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
+    return [parameter.name for parameter in (*law.coefficients(), *CONDITIONS, *START)]
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,11 @@ class ParameterSet:
             prior, an empty interval, a fixed value outside its bounds, or nothing
             left to fit.
         """
-        known = parse_priors(priors or {})
+        prior_by_name = parse_priors(priors or {})
         fixed = {name: float(value) for name, value in (fix or {}).items()}
-        estimated, coefficients = {*free, *known}, law.coefficients()
-        named = (*fixed, *(bounds or {}), *free, *known)
+        estimated = {*free, *prior_by_name}
+        coefficients = law.coefficients()
+        named = (*fixed, *(bounds or {}), *free, *prior_by_name)
         _require_named(law, named)
         if "sweep" in named and not swept:
             raise InputError(
@@ -112,21 +113,25 @@ class ParameterSet:
                 "the two times in s between which it was swept"
             )
         for name in fixed.keys() & estimated:
-            other = "has a prior" if name in known else "is free"
-            raise InputError(f"{name} is fixed and {other}; expected one of them")
-        for item in coefficients:
-            if item.optional and item.name not in named:
-                fixed[item.name] = item.default
+            conflict = "has a prior" if name in prior_by_name else "is free"
+            raise InputError(f"{name} is fixed and {conflict}; expected one of them")
+        for parameter in coefficients:
+            if parameter.optional and parameter.name not in named:
+                fixed[parameter.name] = parameter.default
         named = (*named, "sweep") if swept else named
-        items = (
-            *(item.unbounded() if unbounded else item for item in coefficients),
-            *(item for item in CONDITIONS if item.name in named),
-            *START,
+        if unbounded:
+            coefficients = tuple(
+                coefficient.unbounded() for coefficient in coefficients
+            )
+        conditions = [condition for condition in CONDITIONS if condition.name in named]
+        possible = (*coefficients, *conditions, *START)
+        parameters = tuple(
+            _limited(parameter, bounds or {}, prior_by_name, fixed)
+            for parameter in possible
         )
-        parameters = tuple(_limited(item, bounds or {}, known, fixed) for item in items)
         if len(fixed) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(parameters, fixed, known)
+        return cls(parameters, fixed, prior_by_name)
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -146,14 +151,15 @@ class ParameterSet:
         """
         named = {
             name
-            for key in ("bounds", "free", "priors")
-            for name in choices.get(key) or ()
+            for choice in ("bounds", "free", "priors")
+            for name in choices.get(choice) or ()
         }
         measured = {event.quantity for event in throw.events}
         turning = bool({"phi", "omega"} & ({*throw.seen} | measured))
-        if not turning and "omega0" not in named | {*(choices.get("fix") or ())}:
-            given = choices.get("bounds") or {}
-            choices["bounds"] = {**given, **BOUNDS_WITHOUT_ANGLE}
+        held = choices.get("fix") or ()
+        if not turning and "omega0" not in named and "omega0" not in held:
+            bounds = choices.get("bounds") or {}
+            choices["bounds"] = {**bounds, **BOUNDS_WITHOUT_ANGLE}
         parameters = cls.build(law, **choices)
         unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
         if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):
@@ -163,23 +169,12 @@ class ParameterSet:
         for name in unseen:
             if name not in parameters.fixed:
                 parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
+        if not throw.has_path:
+            return parameters._with_heading_of_events(law, throw, named)
         free = int(parameters.free.sum())
-        if not throw.has_path and parameters.free[parameters.index("heading")]:
-            places = [
-                one for one in throw.events if one.quantity == "x" and one.since is None
-            ]
-            # mypy takes a class for one of its instances, which have no hash.
-            curls = can_curl(law, Load.UNIFORM, Stone())  # type: ignore[arg-type]
-            straight = not places and ("x" not in measured or curls)
-            if (straight or free > len(throw.events)) and "heading" not in named:
-                parameters = parameters.with_fixed("heading", 0.0)
-            return parameters
         rows = int(throw.finite.any(0).sum())
-        if (
-            throw.has_path
-            and rows < max(free, FEWEST_ROWS)
-            and not set(throw.seen) <= throw.sigma.keys()
-        ):
+        needed = max(free, FEWEST_ROWS)
+        if rows < needed and not set(throw.seen) <= throw.sigma.keys():
             raise DataError(
                 f"{counted(rows, 'row')} for {counted(free, 'parameter')}; "
                 "give more rows, or sigmas, or fix parameters",
@@ -187,22 +182,42 @@ class ParameterSet:
             )
         return parameters
 
+    def _with_heading_of_events(
+        self, law: type[Law], throw: Throw, named: Collection[str]
+    ) -> ParameterSet:
+        """The set for timed events alone: the heading is held along the sheet where
+        nothing tells it apart from the curl, unless a choice has named it."""
+        if not self.free[self.index("heading")] or "heading" in named:
+            return self
+        measured = {event.quantity for event in throw.events}
+        tells_x = any(
+            event.quantity == "x" and event.since is None for event in throw.events
+        )
+        # mypy takes a class for one of its instances, which have no hash.
+        curls = can_curl(law, Load.UNIFORM, Stone())  # type: ignore[arg-type]
+        is_straight = not tells_x and ("x" not in measured or curls)
+        if is_straight or int(self.free.sum()) > len(throw.events):
+            return self.with_fixed("heading", 0.0)
+        return self
+
     def __len__(self) -> int:
         return len(self.parameters)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in order."""
-        return tuple(item.name for item in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
         """Names of the conditions among the parameters."""
-        known = {item.name for item in CONDITIONS}
-        return tuple(name for name in self.names if name in known)
+        conditions = {condition.name for condition in CONDITIONS}
+        return tuple(name for name in self.names if name in conditions)
 
     def _array(self, attribute: str) -> Floats:
-        values = np.array([getattr(item, attribute) for item in self.parameters])
+        values = np.array(
+            [getattr(parameter, attribute) for parameter in self.parameters]
+        )
         values.flags.writeable = False  # shared by all callers
         return values
 
@@ -257,8 +272,10 @@ class ParameterSet:
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""
         parameters = tuple(
-            replace(item, lower=value, upper=value) if item.name == name else item
-            for item in self.parameters
+            replace(parameter, lower=value, upper=value)
+            if parameter.name == name
+            else parameter
+            for parameter in self.parameters
         )
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
@@ -266,52 +283,54 @@ class ParameterSet:
 def _require_named(law: type[Law], names: Iterable[str]) -> None:
     for name in names:
         if name not in parameter_names(law):
-            own, conditions = (
-                ", ".join(item.name for item in items)
-                for items in ((*law.coefficients(), *START), CONDITIONS)
-            )
+            of_law = [parameter.name for parameter in (*law.coefficients(), *START)]
+            conditions = [condition.name for condition in CONDITIONS]
             raise InputError(
-                f"law {law.name} has no parameter {quoted(name)}; it has {own}; "
-                f"conditions are {conditions}"
+                f"law {law.name} has no parameter {quoted(name)}; it has "
+                f"{', '.join(of_law)}; conditions are {', '.join(conditions)}"
             )
 
 
 def _limited(
-    item: Parameter,
+    parameter: Parameter,
     limits: Mapping[str, tuple[float, float]],
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
 ) -> Parameter:
     """A parameter with the bounds of a fit: those given, limited by its prior; its
     fixed value."""
-    lower, upper = map(float, limits.get(item.name, (item.lower, item.upper)))
-    of_stone = item.name in UNITS and item.name in limits
-    if of_stone and not (lower >= SMALLEST and upper <= LARGEST):
+    name = parameter.name
+    lower, upper = limits.get(name, (parameter.lower, parameter.upper))
+    if (
+        name in UNITS
+        and name in limits
+        and not (lower >= SMALLEST and upper <= LARGEST)
+    ):
         raise InputError(
-            f"bound of {item.name}: {lower:g}:{upper:g} m is beyond every stone; "
+            f"bound of {name}: {lower:g}:{upper:g} m is beyond every stone; "
             f"expected LOW:HIGH within {SMALLEST:g}:{LARGEST:g}"
         )
-    if item.name in priors:
-        lower, upper = priors[item.name].bounds(lower, upper)
+    if name in priors:
+        lower, upper = priors[name].bounds(lower, upper)
     if not lower < upper:
         raise InputError(
-            f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
+            f"bound of {name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
         )
-    if item.name in fixed:
-        value = fixed[item.name]
-        if item.name == "v0" and value == 0:
+    if name in fixed:
+        value = fixed[name]
+        if name == "v0" and value == 0:
             raise InputError(
                 "v0 is fixed at 0; expected the speed of a stone that moves"
             )
         if not lower <= value <= upper:
             raise InputError(
-                f"{item.name} is fixed at {value:g}, outside its bounds "
-                f"{lower:g}:{upper:g}"
-                + ("" if item.name in limits else "; set others to fix it there")
+                f"{name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                + ("" if name in limits else "; set others to fix it there")
             )
         lower = upper = value
-    same = (lower, upper) == (item.lower, item.upper)
-    return item if same else replace(item, lower=lower, upper=upper)
+    if (lower, upper) == (parameter.lower, parameter.upper):
+        return parameter
+    return replace(parameter, lower=float(lower), upper=float(upper))
 
 
 Options = Mapping[str, Mapping[str, Any] | Sequence[str]]
@@ -320,22 +339,25 @@ Options = Mapping[str, Mapping[str, Any] | Sequence[str]]
 
 def require_known(laws: Iterable[type[Law]], options: Options) -> None:
     """Raise `InputError` if an option names a parameter that none of the laws has."""
-    known = dict.fromkeys(name for law in laws for name in parameter_names(law))
+    names = dict.fromkeys(name for law in laws for name in parameter_names(law))
     for option, values in options.items():
         for name in values:
-            if name not in known:
+            if name not in names:
                 raise InputError(
                     f"{option}: none of the laws has a parameter {quoted(name)}; "
-                    "the parameters are " + ", ".join(known)
+                    "the parameters are " + ", ".join(names)
                 )
 
 
 def options_of(law: type[Law], options: Options) -> dict[str, Any]:
     """The options, limited to the parameters that a law has."""
-    own = parameter_names(law)
-    return {
-        option: {name: value for name, value in values.items() if name in own}
-        if isinstance(values, Mapping)
-        else tuple(name for name in values if name in own)
-        for option, values in options.items()
-    }
+    names = parameter_names(law)
+    of_law: dict[str, Any] = {}
+    for option, values in options.items():
+        if isinstance(values, Mapping):
+            of_law[option] = {
+                name: value for name, value in values.items() if name in names
+            }
+        else:
+            of_law[option] = tuple(name for name in values if name in names)
+    return of_law
