@@ -33,8 +33,8 @@ from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, Set
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
-from curlfit.inference.fit.covariance import CONVERGED
 from curlfit.inference.fit.entries import DataOfFit
+from curlfit.inference.information.thresholds import CONVERGED
 from curlfit.inference.joint.data_sets import LawOnSets, Noise, Told, best, data_sets
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import ROWS_OF_DATA
@@ -201,7 +201,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     rise = sum(item.chi_squared - item.own_chi_squared for item in made)
     more = ranks - known.identifiability.rank
     p = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
-    rank = float(known.identifiability.rank + joint.reduction.rank.sum())
+    rank = float(known.identifiability.rank + joint.marginal.rank.sum())
     bic = float(_deviance(common, weight, unknown, count).sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
     return (

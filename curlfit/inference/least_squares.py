@@ -19,7 +19,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from curlfit.friction import Law
-from curlfit.inference.identifiability import inverted
+from curlfit.inference.information.directions import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model

@@ -20,7 +20,7 @@ from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes, widths_of
-from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.information.directions import r_factor, visible
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.fit import solved_together
 from curlfit.inference.least_squares import Solution
