@@ -16,7 +16,7 @@ from curlfit.comparison.result import Candidate, Coefficient, Sum
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.threads import in_threads
 

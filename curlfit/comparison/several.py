@@ -34,8 +34,8 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, Load
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
-from curlfit.inference.fit.covariance import CONVERGED
 from curlfit.inference.fit.entries import DataOfFit
+from curlfit.inference.information.thresholds import CONVERGED
 from curlfit.inference.joint.data_sets import LawOnSets, Noise, best, data_sets
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import ROWS_OF_DATA
@@ -266,7 +266,7 @@ def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
     more = ranks - of_all.identifiability.rank
     p_together = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
     agree = p_together is None or p_together >= _AGREE
-    rank = float(of_all.identifiability.rank + joint.reduction.rank.sum())
+    rank = float(of_all.identifiability.rank + joint.marginal.rank.sum())
     deviance = float(_deviances(common, weight, unknown, count).sum())
     is_finite = bool(np.isfinite(common.residual).all())
     converged = bool(of_all.distance < CONVERGED) and is_finite

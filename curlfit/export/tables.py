@@ -27,7 +27,7 @@ from curlfit.inference.fit.estimate_columns import (
     EstimateRow,
 )
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.verdict import Verdict
 from curlfit.output import latex
 from curlfit.output.frames import csv_of

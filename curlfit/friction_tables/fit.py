@@ -17,7 +17,7 @@ from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.friction_tables.result import DataOfTable, FrictionFit, FrictionFits
 from curlfit.inference.fit.caveats import of_bounds, of_ridges
-from curlfit.inference.fit.covariance import CONVERGED
+from curlfit.inference.information.thresholds import CONVERGED
 from curlfit.inference.joint.data_sets import DataSet, LawOnSets
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.threads import in_threads

@@ -7,7 +7,7 @@ from os import PathLike
 
 from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.numerics.arrays import Floats
 from curlfit.records import Arrays, Entry, Record, require_rows
 

@@ -19,16 +19,16 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.expression import CONSTANTS, Expression, parse
-from curlfit.inference.identifiability import (
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.directions import wide_errors
+from curlfit.inference.information.intervals import WithInterval
+from curlfit.inference.information.thresholds import (
     INTERVAL,
     LITTLE,
     STRETCHED,
     UNKNOWN,
     WEAK_ERROR,
     WIDE,
-    Combination,
-    WithInterval,
-    errors_of,
 )
 from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.verdict import Verdict
@@ -573,7 +573,8 @@ def _error_at(
     for name in held if point.held is None else (point.held,):
         sizes = typical.copy()
         sizes[names.index(name)] = 0.0
-        errors.append(float(errors_of(np.array(point.slopes), row, sizes)[0]))
+        (error,) = wide_errors(np.array(point.slopes) * sizes, row * sizes)
+        errors.append(float(error))
     return min(errors)
 
 

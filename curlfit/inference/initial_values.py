@@ -20,7 +20,7 @@ from numpy.polynomial.chebyshev import chebder, chebint, chebvander
 
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import Coefficient, Law, Load
-from curlfit.inference.identifiability import inverted, r_factor
+from curlfit.inference.information.directions import inverted, r_factor
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem

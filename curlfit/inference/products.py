@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.inference.derived import Derived, FirstOrder, derive
-from curlfit.inference.identifiability import INTERVAL, demanded_errors
+from curlfit.inference.information.ridge_information import demanded_errors
+from curlfit.inference.information.thresholds import INTERVAL
 from curlfit.inference.parameters import START
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats

@@ -18,7 +18,6 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.fit.covariance import Covariance, first_order
 from curlfit.inference.fit.departures import (
     NO_DEPARTURES,
     Departures,
@@ -27,7 +26,6 @@ from curlfit.inference.fit.departures import (
     probes_about,
     to_be_held,
 )
-from curlfit.inference.fit.factors import Factors, combined
 from curlfit.inference.fit.ridge import (
     Followed,
     Hold,
@@ -35,7 +33,10 @@ from curlfit.inference.fit.ridge import (
     Ridge,
     follow,
 )
-from curlfit.inference.identifiability import Bounded, r_factor
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.directions import r_factor
+from curlfit.inference.information.information import Information
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
 from curlfit.inference.least_squares import (
@@ -57,6 +58,7 @@ from curlfit.optimal_design.information import (
     exact_problems,
     vectors_of,
 )
+from curlfit.optimal_design.selection import combined
 
 _STEPS = 24
 """Of a refit: 19 of 20 refits of power+transverse without an angle end within them, and
@@ -98,8 +100,8 @@ def expected_departures(
     departures = [NO_DEPARTURES] * len(plans)
     for number, ridge in zip(departing, ridges, strict=True):
         plan = planned[number]
-        factor = combined(*exact.factors(plans[number]))
-        covariance = _covariance_of_coefficients(exact, factor)
+        factor = combined(exact.factors(plans[number]))
+        covariance = Covariance.of(exact.information(factor))
         of_coefficients = plan.ridge_of_coefficients(ridge)
         departures[number] = departures_along(covariance, of_coefficients, usual)
     return departures
@@ -127,14 +129,6 @@ def errors_along(
             error = departures.error_along(weights, error, assumed.typical)
         along[name] = error
     return assumed.within_bounds(along, quantities)
-
-
-def _covariance_of_coefficients(assumed: Assumptions, factor: Floats) -> Covariance:
-    """What an R factor of information, in typical sizes, says of the free
-    coefficients to first order."""
-    rows = np.column_stack([factor / assumed.typical, np.zeros(len(factor))])
-    factors = Factors.of(rows, assumed.bounded, assumed.typical)
-    return first_order(assumed.names, factors, assumed.bounded, assumed.typical)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +211,11 @@ class _Plan:
     @cached_property
     def covariance(self) -> Covariance:
         """What the plan says of all its parameters to first order."""
-        rows = np.column_stack([self.slopes, np.zeros(len(self.slopes))])
-        factors = Factors.of(rows, self.bounded, self.typical)
-        return first_order(self.names, factors, self.bounded, self.typical)
+        residual = np.zeros(len(self.slopes))
+        information = Information.of(
+            self.names, self.bounded, self.typical, self.slopes, residual
+        )
+        return Covariance.of(information)
 
     @cached_property
     def probes(self) -> list[Probe]:

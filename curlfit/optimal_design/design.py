@@ -28,14 +28,10 @@ from curlfit.foreign import quoted
 from curlfit.friction import LOADS, Law, Load, check_load
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.systematics import shifts, widths_of
-from curlfit.inference.identifiability import (
-    WEAK_ERROR,
-    Identifiability,
-    analyse,
-    classify,
-    r_factor,
-)
+from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.information.directions import r_factor, standard_error
+from curlfit.inference.information.identifiability import Identifiability
+from curlfit.inference.information.thresholds import WEAK_ERROR
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.departures import errors_along, expected_departures
@@ -60,7 +56,6 @@ from curlfit.optimal_design.selection import (
     d_criterion,
     error_criterion,
     select_design,
-    standard_error,
 )
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
@@ -265,11 +260,7 @@ def _designed(
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     """What an R factor of information determines."""
-    typical = assumed.typical
-    bounded = assumed.bounded
-    return analyse(
-        factor / typical, assumed.names, bounded.values, typical, bounded=bounded
-    )
+    return Identifiability.of(assumed.information(factor))
 
 
 def _quantities(
@@ -394,7 +385,7 @@ def _expected(
         if name in assumed.names:
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])
-            error, verdict = classify(typical, False, identifiability, index)
+            error, verdict = identifiability.classified(index)
             # along the ridge
             error, verdict, _ = departures.judged(name, error, verdict, typical)
         stderr[name] = error
@@ -643,8 +634,11 @@ def scenarios(
         rows = r_factor(weighted.reshape(-1, len(columns)))
         factor = rows[:, :free]
         by_condition = factor.T @ rows[:, free:] / typical[:, None]
-        gradients = dict(zip(widths, by_condition.T, strict=True))
-        shifts_by_condition = shifts(factor / typical, gradients, typical)
+        information = assumed.information(factor)
+        shifts_by_condition = {
+            condition: information.response(gradient)
+            for condition, gradient in zip(widths, by_condition.T, strict=True)
+        }
         stderr = {}
         shifts_by_quantity = {}
         for quantity, weights in weights_by_quantity.items():

@@ -26,7 +26,9 @@ from curlfit.errors import InputError
 from curlfit.foreign import counted
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, confined, r_factor
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.directions import r_factor, standard_error
+from curlfit.inference.information.information import Information
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_many
 from curlfit.inference.model import Model
@@ -40,7 +42,6 @@ from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import FEW, in_batches, stacked
-from curlfit.optimal_design.selection import standard_error
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -172,15 +173,19 @@ class Assumptions:
             np.array([combination.get(name, 0.0) for name in self.names]) * self.typical
         )
 
+    def information(self, factor: Floats) -> Information:
+        """What an R factor of information, in typical sizes, says of the free
+        coefficients."""
+        rows = np.column_stack([factor, np.zeros(len(factor))])
+        return Information(tuple(self.names), *self.bounded, self.typical, rows)
+
     def errors(
         self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
     ) -> dict[str, float | None]:
         """Standard errors of combinations within the bounds, by name."""
-        factor = (
-            confined(factor / self.typical, self.bounded, self.typical) * self.typical
-        )
+        scaled = self.information(factor).without_confined().scaled
         errors = {
-            name: standard_error(factor, self.weights(combination))
+            name: standard_error(scaled, self.weights(combination))
             for name, combination in quantities.items()
         }
         return self.within_bounds(errors, quantities)

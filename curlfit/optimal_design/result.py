@@ -8,7 +8,7 @@ from os import PathLike
 from typing import Any, ClassVar
 
 from curlfit.findings import Finding
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.verdict import Verdict
 from curlfit.loads import Load
 from curlfit.optimal_design.throw_columns import (

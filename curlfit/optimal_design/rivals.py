@@ -19,7 +19,7 @@ from curlfit.errors import CurlfitError, InputError
 from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.systematics import residual_changes, widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.information.directions import r_factor, visible
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.fit import solved_together
 from curlfit.inference.least_squares import Solution

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import r_factor, stderr_of, visible
+from curlfit.inference.information.directions import r_factor, visible
 from curlfit.numerics.arrays import Booleans, Floats
 
 _MAX_ROUNDS = 50
@@ -27,20 +27,6 @@ Criterion = Callable[[Floats], Floats]
 def combined(factors: Sequence[Floats]) -> Floats:
     """R factor of the information of several throws together."""
     return r_factor(np.concatenate(list(factors)))
-
-
-def standard_error(factor: Floats, weights: Floats) -> float | None:
-    """Standard error of a linear combination of coefficients; None where it
-    is undetermined.
-
-    Parameters
-    ----------
-    factor : scaled by typical sizes, shape (free, free).
-    weights : of the free coefficients, times their typical sizes, shape (free,).
-    """
-    _, singular, right = np.linalg.svd(factor)
-    mask = visible(singular)
-    return stderr_of(weights, right[mask], singular[mask])
 
 
 class CandidateSet(NamedTuple):

@@ -55,7 +55,7 @@ from curlfit.wording import (
 if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Estimate
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.identifiability import Combination
+    from curlfit.inference.information.combinations import Combination
     from curlfit.throws.reference import Reference
 
 _MOST_NAMED = 6  # outliers that the report lists

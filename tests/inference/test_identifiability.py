@@ -9,20 +9,29 @@ import pytest
 from conftest import NOISE, TIMES, filmed, finding_of
 
 import curlfit
-from curlfit.inference.identifiability import (
-    UNKNOWN,
-    WIDE,
-    Bounded,
-    analyse,
-    errors_of,
-    expression,
-)
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.combinations import expression
+from curlfit.inference.information.directions import wide_errors
+from curlfit.inference.information.identifiability import Identifiability
+from curlfit.inference.information.information import Information
+from curlfit.inference.information.thresholds import UNKNOWN, WIDE
+
+
+def determined_by(jacobian, names, values, typical, lower=-np.inf, upper=np.inf):
+    """What residuals with this Jacobian determine."""
+    bounds = np.broadcast_to(lower, len(names)), np.broadcast_to(upper, len(names))
+    jacobian = np.asarray(jacobian, float)
+    residual = np.zeros(len(jacobian))
+    information = Information.of(
+        names, Bounded(values, *bounds), typical, jacobian, residual
+    )
+    return Identifiability.of(information)
 
 
 def _analysed(jacobian, names, typical=None):
     p = len(names)
     typical = np.ones(p) if typical is None else np.asarray(typical)
-    return analyse(np.asarray(jacobian, float), names, np.arange(1.0, p + 1), typical)
+    return determined_by(jacobian, names, np.arange(1.0, p + 1), typical)
 
 
 def test_a_sum_is_found_with_its_error():
@@ -65,7 +74,7 @@ def test_a_null_direction_moves_a_sum_by_what_its_parameters_may(share, known):
     """Only a - share b is measured: a is known as well as b is, of size 1."""
     error = 0.01
     slopes = np.array([[1.0, -share]]) / error
-    (found,) = errors_of(slopes, np.array([[1.0, 0.0]]), np.ones(2))
+    (found,) = wide_errors(slopes, np.array([[1.0, 0.0]]))
     if known:
         assert found == pytest.approx(np.hypot(error, UNKNOWN * share), rel=0.01)
         assert found < WIDE
@@ -101,19 +110,19 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     """The difference of two coefficients has a standard error of 50, their bounds
     a width of 1."""
     rotated = np.array([[10.0, 10.0], [0.02, -0.02]]) / np.sqrt(2)
-    values, ends = np.array([0.5, 0.5]), (np.zeros(2), np.ones(2))
+    values = np.array([0.5, 0.5])
     about = (["a", "b"], values, np.ones(2))
-    free = analyse(rotated, *about)
+    free = determined_by(rotated, *about)
     assert free.rank == 2
     assert free.covariance[0, 0] == pytest.approx((0.1**2 + 50**2) / 2)
-    held = analyse(rotated, *about, bounded=Bounded(values, *ends))
+    held = determined_by(rotated, *about, 0.0, 1.0)
     assert (held.rank, held.null_directions) == (1, ({"a": 1.0, "b": -1.0},))
     (total,) = held.combinations
     assert (total.expression, total.stderr) == (
         "a + b",
         pytest.approx(0.1 * np.sqrt(2)),
     )
-    wider = analyse(rotated, *about, bounded=Bounded(values, values - 5, values + 5))
+    wider = determined_by(rotated, *about, values - 5, values + 5)
     assert wider.rank == 2  # a room of 0.28 standard errors
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from curlfit.inference.fit.ridge_information import LITTLE, information_along
+from curlfit.inference.information.ridge_information import information_along
+from curlfit.inference.information.thresholds import LITTLE
 
 
 def test_nothing_is_taken_out_of_a_quadratic():

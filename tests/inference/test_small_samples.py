@@ -14,7 +14,7 @@ from scipy.stats import binomtest, chi2, f, t
 import curlfit
 from curlfit.errors import Option
 from curlfit.inference.fit.caveats import of_outliers
-from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.covariance import FitCovariance
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
@@ -72,11 +72,11 @@ def test_degrees_of_freedom_are_welch_s():
     )
     expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
     weights = np.array([[1.0, -1.0]])
-    assert Covariance.degrees_of_freedom(covariance, weights) == [
+    assert FitCovariance.degrees_of_freedom(covariance, weights) == [
         pytest.approx(expected)
     ]
     covariance.dof = np.array([np.inf, np.inf])
-    assert Covariance.degrees_of_freedom(covariance, weights) == [None]
+    assert FitCovariance.degrees_of_freedom(covariance, weights) == [None]
 
 
 @pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])

@@ -12,6 +12,7 @@ from conftest import command, invoke
 import curlfit
 from curlfit import LAWS, InitialState, Stone
 from curlfit.errors import Option
+from curlfit.inference.information.directions import standard_error
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.departures import expected_departures
 from curlfit.optimal_design.design import design
@@ -26,7 +27,6 @@ from curlfit.optimal_design.selection import (
     d_criterion,
     error_criterion,
     select_design,
-    standard_error,
 )
 
 LAW = LAWS["front-back"]

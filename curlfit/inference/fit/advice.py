@@ -27,7 +27,10 @@ from curlfit.friction.curl import can_curl
 from curlfit.inference.fit.entries import FurtherMeasurement
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.identifiability import Identifiability
+from curlfit.inference.information.information import Information
+from curlfit.inference.information.thresholds import WEAK_ERROR
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.independence import is_rough
@@ -249,7 +252,14 @@ class _Measurements(NamedTuple):
             weight[CHANNELS.index(channel)] = 1 / NOISE[channel]
         slopes_of_residuals = weight[..., None] * self.jacobian
         matrix = slopes_of_residuals.reshape(-1, len(self.names))
-        return analyse(matrix, self.names, self.values, self.typical)
+        information = Information.of(
+            self.names,
+            Bounded.none(self.values),
+            self.typical,
+            matrix,
+            np.zeros(len(matrix)),
+        )
+        return Identifiability.of(information)
 
     def determined(self, channels: Sequence[str]) -> set[str]:
         """Parameters that would be determined with these channels besides."""

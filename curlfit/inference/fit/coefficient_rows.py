@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.ridge_information import information_along
-from curlfit.inference.identifiability import WEAK_ERROR, directions, stderr_told
+from curlfit.inference.information.directions import directions, standard_error
+from curlfit.inference.information.ridge_information import information_along
+from curlfit.inference.information.thresholds import WEAK_ERROR
 from curlfit.numerics.arrays import Floats
 
 # eigenvalue over the largest, of information in typical sizes, that is not rounding
@@ -84,7 +85,8 @@ def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
     typical = np.array(
         [coefficient.typical for coefficient in fit.coefficients.values()]
     )
-    return stderr_told(rows_told(fit)[:, :-1], weights, typical)
+    rows = rows_told(fit)[:, :-1]
+    return standard_error(rows * typical, weights * typical)
 
 
 def left_open(fit: FitResult) -> tuple[str, ...]:

@@ -17,19 +17,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.fit.covariance import CONVERGED, Covariance
 from curlfit.inference.fit.ridge import Point, Ridge
-from curlfit.inference.identifiability import (
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.directions import standard_error, visible
+from curlfit.inference.information.thresholds import (
+    CONVERGED,
     LITTLE,
     STRETCHED,
     UNKNOWN,
     WEAK_ERROR,
     WIDE,
-    Bounded,
-    Combination,
-    r_factor,
-    stderr_of,
-    visible,
 )
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
@@ -482,14 +481,13 @@ def _errors_where_known(
     measured[names.index(covariance.names[index])] = (
         covariance.typical[index] / known_to
     )
-    _, singular, directions = np.linalg.svd(r_factor(np.vstack([rows, measured])))
-    seen = visible(singular)
+    rows = np.vstack([rows, measured])
     errors = {}
     for name in wanted:
         column = names.index(name)
         unit = np.zeros(len(names))
         unit[column] = 1.0
-        error = stderr_of(unit, directions[seen], singular[seen])
+        error = standard_error(rows, unit)
         if error is not None and error < WEAK_ERROR:
             errors[name] = error * float(sizes[column])
     return errors
@@ -499,8 +497,8 @@ def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
     """Unit vectors in typical sizes along which hardly anything is determined, and
     the singular value of each, 0 of null directions."""
     sizes = covariance.typical[covariance.open]
-    factor = covariance.factor[:, :-1][:, covariance.open] * sizes
-    _, singular, rows = np.linalg.svd(factor, full_matrices=False)
+    scaled = covariance.confined.scaled[:, covariance.open]
+    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
     weak = visible(singular) & (singular < 1 / _FAINT)
     loose = [
         (covariance.in_all(row), value)

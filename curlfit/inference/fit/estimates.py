@@ -22,7 +22,8 @@ from curlfit.inference.fit.estimate_columns import (
     VERDICT,
     EstimateRow,
 )
-from curlfit.inference.identifiability import Combination, WithInterval
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.intervals import WithInterval
 from curlfit.inference.verdict import Verdict
 from curlfit.output.display import Displayed
 from curlfit.output.frames import frame

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from curlfit.inference.fit.entries import Outlier
-from curlfit.inference.identifiability import inverted
+from curlfit.inference.information.directions import inverted
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.problem import Problem

@@ -38,7 +38,7 @@ from curlfit.inference.fit.estimates import (
     RidgePoint,
     Systematics,
 )
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.model import Model
 from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.noise.independence import Independence

@@ -22,13 +22,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.identifiability import (
-    FAR_LESS,
-    INTERVAL,
-    demanded_errors,
-    errors_of,
-    r_factor,
-)
+from curlfit.inference.information.directions import r_factor, wide_errors
+from curlfit.inference.information.ridge_information import demanded_errors
+from curlfit.inference.information.thresholds import FAR_LESS, INTERVAL
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Floats
@@ -84,7 +80,7 @@ class Point(NamedTuple):
         sizes = np.array(sizes)
         if self.held is not None:
             sizes[self.held] = 0.0
-        return errors_of(self.slopes, weights, sizes)
+        return wide_errors(self.slopes * sizes, weights * sizes)
 
     @classmethod
     def of(cls, solution: Solution, penalty: Penalty, held: int | None = None) -> Self:

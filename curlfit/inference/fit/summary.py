@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from operator import itemgetter
 from typing import NamedTuple, Self
 
@@ -16,8 +17,7 @@ from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.change_points import with_change
 from curlfit.inference.fit.covariance import (
-    CONVERGED,
-    Covariance,
+    FitCovariance,
     Sigmas,
     robust_jacobians,
     with_others,
@@ -32,16 +32,23 @@ from curlfit.inference.fit.departures import (
     probes_about,
     to_be_held,
 )
-from curlfit.inference.fit.entries import DataOfFit, Determined, FittedEvent, Outlier
+from curlfit.inference.fit.entries import (
+    DataOfFit,
+    Determined,
+    FittedEvent,
+    GaussNewtonInformation,
+    Outlier,
+)
 from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
-from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, linearized, penalties
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.information import Information, Marginal
+from curlfit.inference.information.thresholds import CONVERGED
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
@@ -82,7 +89,7 @@ def summarize_many(
     curves: bool = True,
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
-    others: Floats | None = None,
+    others: Information | None = None,
     ridges: Callable[[dict[int, float]], Sequence[Ridge]] | None = None,
     earlier: Sequence[Ridge | None] | None = None,
 ) -> list[FitResult]:
@@ -97,9 +104,8 @@ def summarize_many(
         `systematics.widths_of`; only with curves.
     common : of throws that were fitted together, the parameters that they
         have in common.
-    others : rows of what other throws say of the parameters of each, in place of priors
-        of these, with the residual as the last column, shape (throws, rows,
-        parameters + 1).
+    others : what other throws say of some parameters of each, in place of priors of
+        these; a stack.
     ridges : of throws that are fitted together, follows the ridge of all with some
         parameters in common held, given by index with their standard errors.
     earlier : of searches that went on, where they had not ended or where the ridge
@@ -112,12 +118,13 @@ def summarize_many(
     if curves:
         paths = predict_many(many.model, many.solutions.values, many.problems, batch)
     residuals = residuals_of(many.problems, many.solutions, paths)
-    covariances, reduction = many.covariances(residuals)
-    departures = many.departures(covariances, reduction, batch, ridges, earlier)
+    searched = many.information(many.solutions.jacobian)
+    covariances = many.covariances(searched, residuals)
+    departures = many.departures(covariances, searched, batch, ridges, earlier)
     widths = widths or {}
     shifts: list[dict[str, Floats]] = [{}] * len(fits)
     if paths is not None and widths:
-        shifts = many.shifts(covariances, reduction, paths, widths, batch)
+        shifts = many.shifts(covariances, searched, paths, widths, batch)
     results = []
     for row, fit in enumerate(fits):
         result = _record(
@@ -148,6 +155,19 @@ def summarize_many(
     return results
 
 
+class _Informations(NamedTuple):
+    """What is known of throws, along the first axis; of each with what others say of
+    the parameters that they have in common."""
+
+    whole: Information
+    of_data: Information | None
+    """without the priors; None where nothing but the throw's own data is known"""
+    others: Information | None
+    """what other throws say"""
+    marginal: Marginal | None
+    """of throws that are fitted together, about the parameters in common"""
+
+
 class _Many(NamedTuple):
     """Fits of one model and loss, with what they need along the first axis."""
 
@@ -161,22 +181,24 @@ class _Many(NamedTuple):
     typical: Floats
     penalty: Penalty
     common: Booleans | None
-    others: Floats | None
+    others: Information | None
 
     @classmethod
     def of(
         cls,
         fits: Sequence[LeastSquaresFit],
         common: Booleans | None,
-        others: Floats | None,
+        others: Information | None,
     ) -> Self:
         requests = [fit.request for fit in fits]
         solutions = stacked([fit.solution for fit in fits])
         lower, upper = bounds_of(requests, common)
         penalty = penalties(requests)
         if others is not None:
-            is_told = (others[..., :-1] != 0).any((0, 1))
-            penalty = penalty._replace(weight=penalty.weight * ~is_told)
+            is_known = (others.scaled != 0).any((0, 1))
+            known_names = [*compress(others.names, is_known)]
+            is_known = np.isin(requests[0].parameters.names, known_names)
+            penalty = penalty._replace(weight=penalty.weight * ~is_known)
         return cls(
             fits=fits,
             model=fits[0].model,
@@ -196,17 +218,45 @@ class _Many(NamedTuple):
         """Whether each throw is fitted by itself."""
         return self.common is None and self.others is None
 
+    def information(self, jacobian: Floats) -> _Informations:
+        """From Jacobians of shape (throws, channels, n, parameters)."""
+        of_data = Information.of(
+            self.throws[0].parameters.names,
+            self.bounded,
+            self.typical,
+            jacobian,
+            self.solutions.residual,
+        )
+        has_priors = self.penalty.informative
+        priors = self.penalty.rows(self.bounded.values)
+        if self.common is None:
+            if self.others is not None:
+                of_data = of_data + self.others
+                has_priors = True
+            whole = of_data.with_rows(priors)
+            return _Informations(
+                whole, of_data if has_priors else None, self.others, None
+            )
+        # Priors of what is in common count once.
+        with_own_priors = of_data.with_rows(priors * ~self.common[:, None])
+        marginal = with_own_priors.marginal(self.common)
+        others = marginal.information.of_others()
+        whole = (of_data + others).with_rows(priors)
+        if not has_priors:
+            return _Informations(whole, None, others, marginal)
+        of_data = of_data + of_data.marginal(self.common).information.of_others()
+        return _Informations(whole, of_data, others, marginal)
+
     def covariances(
-        self, residuals: Floats
-    ) -> tuple[list[Covariance], Reduction | None]:
-        """Covariance of each throw, and how throws that are fitted together act on one
-        another."""
-        factors = self._factors(self.solutions.jacobian)
-        estimator = factors
+        self, searched: _Informations, residuals: Floats
+    ) -> list[FitCovariance]:
+        """Covariance of each throw."""
+        estimator = searched
         if self.loss.is_robust:
-            estimator = self._factors(
+            estimator = self.information(
                 robust_jacobians(self.problems, self.solutions, residuals, self.loss)
             )
+        of_data = estimator.of_data
         channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         counts = (self.problems.weight > 0).sum(-1)
         covariances = []
@@ -218,35 +268,22 @@ class _Many(NamedTuple):
                 loss=self.loss,
                 total=count.sum(),
             )
-            covariance = Covariance.of(
-                fit.request.parameters.names,
-                Bounded(*(part[row] for part in self.bounded)),
-                self.typical,
-                (factors.at(row), estimator.at(row)),
+            covariance = FitCovariance.of_fit(
+                searched.whole.at(row),
+                estimator.whole.at(row),
+                None if of_data is None else of_data.at(row),
                 fit.solution.jacobian,
                 sigmas,
-                has_priors=self.penalty.informative or self.others is not None,
             )
             covariances.append(covariance)
-        if estimator.reduction is not None:
-            covariances = with_others(covariances, estimator.reduction)
-        return covariances, factors.reduction
-
-    def _factors(self, jacobian: Floats) -> Factors:
-        """R factors of Jacobians of shape (throws, channels, n, parameters)."""
-        return Factors.of(
-            r_factors(jacobian, self.solutions.residual),
-            self.bounded,
-            self.typical,
-            self.penalty,
-            self.common,
-            self.others,
-        )
+        if estimator.marginal is not None:
+            covariances = with_others(covariances, estimator.marginal)
+        return covariances
 
     def departures(
         self,
-        covariances: Sequence[Covariance],
-        reduction: Reduction | None,
+        covariances: Sequence[FitCovariance],
+        searched: _Informations,
         batch: int,
         ridges_together: Callable[[dict[int, float]], Sequence[Ridge]] | None,
         earlier: Sequence[Ridge | None] | None,
@@ -256,7 +293,7 @@ class _Many(NamedTuple):
             probes_about(covariance, Bounded(*(part[row] for part in self.bounded)))
             for row, covariance in enumerate(covariances)
         ]
-        rises_by_throw = self._rises(probes_by_throw, reduction, batch)
+        rises_by_throw = self._rises(probes_by_throw, searched, batch)
         departing = [
             [
                 (probe, rise)
@@ -310,7 +347,7 @@ class _Many(NamedTuple):
 
     def _held_together(
         self,
-        covariances: Sequence[Covariance],
+        covariances: Sequence[FitCovariance],
         departing: Sequence[Sequence[tuple[Probe, float]]],
         held: Sequence[Sequence[int]],
     ) -> dict[int, float]:
@@ -333,7 +370,7 @@ class _Many(NamedTuple):
     def _rises(
         self,
         probes_by_throw: Sequence[Sequence[Probe]],
-        reduction: Reduction | None,
+        searched: _Informations,
         batch: int,
     ) -> list[Floats]:
         """Rises of chi squared from the optimum of each throw to its probes."""
@@ -350,16 +387,17 @@ class _Many(NamedTuple):
         rises = rises - self.solutions.chi_squared[owner]
         priors = self.penalty.at(owner)
         rises += priors.chi_squared(points) - priors.chi_squared(best)
-        rows = self.others if reduction is None else reduction.others
-        if rows is not None:
-            rises += chi_squared_change(rows[owner], points - best)
+        if searched.others is not None:
+            others = searched.others.at(owner)
+            concerned = np.isin(searched.whole.names, others.names)
+            rises += others.rise((points - best)[:, concerned])
         rises = np.nan_to_num(rises, nan=np.inf)
         return np.split(rises, np.cumsum(counts)[:-1])
 
     def _ridges(
         self,
         due: Sequence[int],
-        covariances: Sequence[Covariance],
+        covariances: Sequence[FitCovariance],
         held: Sequence[Sequence[int]],
         batch: int,
     ) -> list[Ridge]:
@@ -407,7 +445,7 @@ class _Many(NamedTuple):
 
     def searched_on(
         self,
-        covariances: Sequence[Covariance],
+        covariances: Sequence[FitCovariance],
         departures: Sequence[Departures],
         batch: int,
     ) -> dict[int, LeastSquaresFit]:
@@ -443,8 +481,8 @@ class _Many(NamedTuple):
 
     def shifts(
         self,
-        covariances: Sequence[Covariance],
-        reduction: Reduction | None,
+        covariances: Sequence[FitCovariance],
+        searched: _Informations,
         paths: Floats,
         widths: Mapping[str, float],
         batch: int,
@@ -464,8 +502,8 @@ class _Many(NamedTuple):
         gradients = {}
         for condition, change in changes.items():
             gradient = np.einsum("tcn,tcnp->tp", change, self.solutions.jacobian)
-            if reduction is not None:
-                gradient = reduction.gradient(gradient)
+            if searched.marginal is not None:
+                gradient = searched.marginal.gradient(gradient)
             gradients[condition] = gradient
         shifts = []
         for row, covariance in enumerate(covariances):
@@ -478,7 +516,7 @@ def _record(
     fit: LeastSquaresFit,
     path: Floats | None,
     residual: Floats,
-    covariance: Covariance,
+    covariance: FitCovariance,
     departures: Departures,
     shifts: Mapping[str, Floats],
     widths: Mapping[str, float],
@@ -553,7 +591,7 @@ def _record(
         covariance=NamedMatrix(
             tuple(identifiability.names), identifiability.covariance
         ),
-        information=covariance.information(),
+        information=_information_of(covariance),
         ridge=_ridge_points(fit, departures),
         reference=reference if reference and reference.law == law.name else None,
         observed=_observed(fit),
@@ -568,6 +606,16 @@ def _record(
     result = _with_products(result, shifts)
     warnings = warnings_of(fit, result, residual, unusual, rival, departures)
     return replace(result, warnings=warnings)
+
+
+def _information_of(covariance: FitCovariance) -> GaussNewtonInformation:
+    """What is said of the free parameters to first order, for the record."""
+    information = covariance.confined.only(covariance.free)
+    return GaussNewtonInformation(
+        names=information.names,
+        matrix=information.normal_matrix,
+        gradient=information.gradient,
+    )
 
 
 def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult:
@@ -666,7 +714,7 @@ def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
 
 
 def _discrepancy(
-    fit: LeastSquaresFit, path: Floats | None, covariance: Covariance
+    fit: LeastSquaresFit, path: Floats | None, covariance: FitCovariance
 ) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
     if path is None or not fit.noise.sizes:
@@ -769,7 +817,7 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
 
 def _estimates(
     parameters: ParameterSet,
-    covariance: Covariance,
+    covariance: FitCovariance,
     departures: Departures,
     rival: Mapping[str, float],
 ) -> dict[str, Estimate]:

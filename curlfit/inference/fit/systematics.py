@@ -23,7 +23,6 @@ from curlfit.inference.conditions import (
     check_systematics,
     is_calibration,
 )
-from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.whitening import whitened
@@ -229,23 +228,3 @@ def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
     record = getattr(problems, group)
     changed = replace(record, **{name: getattr(record, name) + by})
     return problems._replace(**{group: changed})
-
-
-def shifts(
-    factor: Floats, gradients: Mapping[str, Floats], typical: Floats
-) -> dict[str, Floats]:
-    """Shifts from the estimates to the true values, by condition, along
-    determined directions.
-
-    Parameters
-    ----------
-    factor : R factor of the Jacobian with respect to the open parameters.
-    gradients : J^T times the change of the residuals, by condition.
-    typical : sizes of the open parameters.
-    """
-    _, singular, right = np.linalg.svd(factor * typical, full_matrices=False)
-    inverse = right.T * inverted(singular, visible(singular))
-    return {
-        name: -typical * (inverse @ (inverse.T @ (typical * gradient)))
-        for name, gradient in gradients.items()
-    }

@@ -14,7 +14,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.identifiability import stderr_told
+from curlfit.inference.information.directions import standard_error
 from curlfit.inference.joint.population import Together
 from curlfit.inference.request import Request
 from curlfit.numerics.arrays import Floats
@@ -83,7 +83,7 @@ def _stated_errors(fit: FitResult) -> dict[str, float]:
 def errors_told(rows: Floats, weights: Floats, typical: Floats) -> list[float | None]:
     """Standard error of a weighted sum of parameters, as the rows of each throw tell
     it; None where they do not."""
-    return [stderr_told(of_throw, weights, typical) for of_throw in rows]
+    return [standard_error(of_throw * typical, weights * typical) for of_throw in rows]
 
 
 def fitted_alone(

@@ -20,7 +20,6 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import NOISE
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import (
     NO_DEPARTURES,
     Departures,
@@ -29,21 +28,17 @@ from curlfit.inference.fit.departures import (
     to_be_held,
 )
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.problems import bounds_of
 from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
 from curlfit.inference.fit.throw_stack import ThrowStack, at
-from curlfit.inference.identifiability import (
-    Bounded,
-    Combination,
-    r_factor,
-    r_factors,
-    visible,
-)
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.directions import visible
+from curlfit.inference.information.information import Information, Marginal
 from curlfit.inference.initial_values import default_guess
-from curlfit.inference.joint.population import told_by_data
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
 from curlfit.inference.least_squares import (
     PRECISE,
@@ -371,11 +366,9 @@ class LawOnSets:
         begin = np.array(optimum.values)
 
         def point_of(solution: Solution, parameter: int | None = None) -> Point:
-            rows = self.told(solution).reduction.rows[inside]
-            slopes = rows[..., :-1][..., self.common].reshape(-1, len(self.names))
+            information = self.told(solution).information(inside)
             chi_squared = float(solution.chi_squared[inside].sum())
-            values = solution.values[inside][0, self.common]
-            return Point(values, r_factor(slopes), chi_squared, parameter)
+            return Point(information.values, information.slopes, chi_squared, parameter)
 
         def refit(holds: Sequence[Hold]) -> list[Point]:
             points = []
@@ -399,24 +392,29 @@ class LawOnSets:
 
     def told(self, found: Solution) -> Told:
         """What throws and tables at their optimum say of the coefficients."""
-        factors = r_factors(found.jacobian, found.residual)
-        bounded = Bounded(found.values, *self.tasks[2:4])
-        return Told(
-            self, found, Reduction.of(factors, bounded, self.tasks.typical, self.common)
+        information = Information.of(
+            self.rounds.throws[0].parameters.names,
+            Bounded(np.asarray(found.values), *self.tasks[2:4]),
+            self.tasks.typical,
+            found.jacobian,
+            found.residual,
         )
+        return Told(self, information.marginal(self.common))
 
 
 class Told(NamedTuple):
     """What throws and tables at an optimum say of the coefficients."""
 
     of: LawOnSets
-    solution: Solution
-    reduction: Reduction
+    marginal: Marginal
+
+    def information(self, inside: Booleans | slice = slice(None)) -> Information:
+        """Of some of them together, or all."""
+        return self.marginal.information.at(inside).together()
 
     def by(self, inside: Booleans | slice = slice(None)) -> Covariance:
         """By some of them, or all."""
-        some = replace(self.reduction, rows=self.reduction.rows[inside])
-        return told_by_data(self.of.tasks, self.solution, some, self.of.names)
+        return Covariance.of(self.information(inside))
 
     def estimates(
         self,
@@ -450,16 +448,15 @@ class Told(NamedTuple):
 
     def parameters(self) -> Floats:
         """Number of parameters spent on each, with its share of the coefficients."""
-        common, tasks = self.of.common, self.of.tasks
-        free = (tasks.upper > tasks.lower)[0]
-        rows = self.reduction.rows[..., :-1] * tasks.typical * (common & free)
+        information = self.marginal.information
+        rows = information.scaled * information.free[0]
         left, singular, _ = np.linalg.svd(
             rows.reshape(-1, rows.shape[-1]), full_matrices=False
         )
         spent = (
             (left[:, visible(singular)] ** 2).sum(-1).reshape(rows.shape[:2]).sum(-1)
         )
-        return np.asarray(spent + self.reduction.rank)
+        return np.asarray(spent + self.marginal.rank)
 
 
 def best(solutions: Iterable[Solution]) -> Solution:

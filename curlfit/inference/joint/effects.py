@@ -15,7 +15,7 @@ from curlfit.errors import InputError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
 from curlfit.inference.derived import Quantiles
-from curlfit.inference.identifiability import WithInterval
+from curlfit.inference.information.intervals import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import MixedFit, bounded, to_mean
 from curlfit.records import ADDED, Matrix

@@ -11,10 +11,8 @@ import numpy as np
 
 from curlfit.errors import Option, UnusableFitError
 from curlfit.friction import Law, no_motion_because
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
@@ -23,13 +21,13 @@ from curlfit.inference.fit.ridge import Ridge
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack, at
-from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all
-from curlfit.inference.joint.population import Together, told_by_data, vary
+from curlfit.inference.joint.population import Together, vary
 from curlfit.inference.joint.posterior import drawn_for_others, sampled
 from curlfit.inference.joint.request import VARYING, JointRequest
 from curlfit.inference.joint.result import DeterminedTogether, JointResult, Variation
@@ -282,15 +280,10 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     combinations = tuple(
         item for item in first.combinations if set(item.weights) <= set(shared)
     )
-    reduction = Reduction.of(
-        r_factors(solution.jacobian, solution.residual),
-        Bounded(solution.values, tasks.lower, tasks.upper),
-        tasks.typical,
-        common,
-    )
+    marginal = together.information(solution).marginal(common)
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty.informative:
-        by_data = told_by_data(tasks, solution, reduction, shared, held=same)
+        by_data = Covariance.of(marginal.information.together().held(same[common]))
         departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
         not_varying = {*same_names, *first_request.parameters.fixed}
         verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
@@ -307,7 +300,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     same_values = {name: of_all[name] for name in same_names}
     alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
     of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
-    jointly = reduction.in_common()[..., :-1] * of_each
+    jointly = marginal.information.slopes * of_each
     variations = variations_of(alone, jointly, weights, covariates.values)
     among = {name: item for name, item in variations.items() if item.significant}
     open_ = np.array(
@@ -331,7 +324,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
             _among(item, among, item.expression) for item in combinations
         ),
         identifiability=DeterminedTogether(
-            rank=int(first.identifiability.rank + reduction.rank[1:].sum()),
+            rank=int(first.identifiability.rank + marginal.rank[1:].sum()),
             parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
         ),
         variation=tuple(variations.values()),

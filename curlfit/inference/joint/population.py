@@ -15,10 +15,12 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Covariance, first_order
-from curlfit.inference.fit.factors import Factors, Reduction, combined
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.directions import r_factor
+from curlfit.inference.information.information import Information, Marginal
 from curlfit.inference.joint.effects import Covariates, Means
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
@@ -98,17 +100,15 @@ class Population(NamedTuple):
         )
         bounded = Bounded(values, *self.bounds)
 
-        def told(fit: MixedFit) -> Factors:
+        def information(fit: MixedFit) -> Information:
             mean, matrix = fit.unbounded
             rows = _rows(mean[:size], matrix[:size, :size], best, fit.model.null)
-            return Factors.of(
-                rows / np.append(self.typical, 1.0), bounded, self.typical
-            )
+            return Information(tuple(names), *bounded, self.typical, rows)
 
-        factors = told(self.fit)
+        of_data = None
         if self.of_data is not self.fit:
-            factors = factors._replace(of_data=told(self.of_data).whole)
-        return first_order(names, factors, bounded, self.typical)
+            of_data = information(self.of_data)
+        return Covariance.of(information(self.fit), of_data=of_data)
 
     def means(
         self,
@@ -159,37 +159,55 @@ class Together(NamedTuple):
     """which parameters they have in common"""
     covariates: Covariates
 
+    def information(self, solution: Solution) -> Information:
+        """What the data of each throw say at an optimum, along the first axis."""
+        tasks = self.tasks
+        bounded = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
+        return Information.of(
+            self.rounds.throws[0].parameters.names,
+            bounded,
+            tasks.typical,
+            solution.jacobian,
+            solution.residual,
+        )
+
 
 class LinearizedThrows(NamedTuple):
     """What throws say of the parameters in common, each to first order about values of
-    its own: residuals are rows times what is added to these values, plus what is left.
+    its own."""
 
-    All is in typical sizes from the reference.
-    """
-
-    rows: Floats
-    """shape (throws, rows, parameters)"""
-    residual: Floats
-    """at these values, shape (throws, rows)"""
-    at: Floats
-    """the values, shape (throws, parameters)"""
+    information: Information
+    """along the first axis; the bounds are the same for all, and both are the reference
+    where a parameter is fixed"""
     reference: Floats
-    typical: Floats
-    bounds: tuple[Floats, Floats]
-    """in the parameters' units; both are the reference where one is fixed"""
     prior: tuple[Floats, Floats] | None = None
-    """rows of what is known of the mean besides, and what they then give"""
+    """rows of what is known of the mean besides, in typical sizes, and what they then
+    give for the distance from the reference"""
+
+    @property
+    def typical(self) -> Floats:
+        """Typical sizes of the parameters."""
+        return self.information.typical
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Of the parameters, in their units."""
+        return self.information.lower[0], self.information.upper[0]
+
+    @property
+    def at(self) -> Floats:
+        """The values of each throw, in typical sizes from the reference."""
+        return (self.information.values - self.reference) / self.typical
 
     @property
     def free(self) -> Booleans:
         """Parameters that are not fixed."""
-        lower, upper = self.bounds
-        found: Booleans = upper > lower
-        return found
+        return self.information.free[0]
 
     @property
     def ends(self) -> tuple[Floats, Floats]:
-        """The bounds; a parameter that is fixed, which nothing moves, has none."""
+        """The bounds in typical sizes from the reference; a parameter that is fixed,
+        which nothing moves, has none."""
         lower, upper = (
             (bound - self.reference) / self.typical for bound in self.bounds
         )
@@ -203,7 +221,11 @@ class LinearizedThrows(NamedTuple):
         prior = self.prior
         if prior is not None:
             prior = prior[0] @ projection, prior[1]
-        return self._replace(rows=self.rows @ projection, prior=prior)
+        rows = self.information.rows.copy()
+        rows[..., :-1] = self.information.scaled @ projection
+        return self._replace(
+            information=replace(self.information, rows=rows), prior=prior
+        )
 
     def projection(
         self, weights: Mapping[str, Floats], covariates: Floats, spreads: Floats
@@ -252,16 +274,16 @@ class LinearizedThrows(NamedTuple):
     ) -> MixedModel:
         whole = np.array([*weights.values()]).reshape(len(weights), len(self.typical))
         directions: Any = np.linalg.pinv(whole * self.typical * self.free)
-        target = (self.rows @ self.at[..., None])[..., 0] - self.residual
-        return MixedModel.of(self.rows, target, directions, covariates, prior)
+        rows = self.information.scaled
+        target = (rows @ self.at[..., None])[..., 0] - self.information.residual
+        return MixedModel.of(rows, target, directions, covariates, prior)
 
 
 def vary(
     throws: Together, weights: Mapping[str, Floats], guess: Floats
-) -> tuple[Population, Solution, Floats]:
+) -> tuple[Population, Solution, Information]:
     """The mean of throws and their deviations from it; the throws at their own
-    coefficients; and rows of what the others say of the parameters of each, with the
-    residual as the last column, shape (throws, rows, parameters + 1).
+    coefficients; and what the others say of the coefficients of each.
 
     Throws are linearised at equal coefficients and then, a few times, at those that
     the mixed model expects of each (Lindstrom and Bates 1990, Biometrics 46, 673).
@@ -279,8 +301,8 @@ def vary(
     centre, projection = reference, None
     for linearization in itertools.count():
         solution = throws.rounds.with_own_sigma(solution)
-        reduction = reduced(throws, solution)
-        linear = _about(throws, solution, reduction, centre)
+        marginal = marginal_of(throws, solution)
+        linear = _about(throws, marginal.information, centre)
         if projection is None:
             projection = linear.projection(weights, covariates, guess)
         linear = linear.along(projection)
@@ -288,47 +310,37 @@ def vary(
         fit = population.fit
         centre = reference + typical * fit.estimate[: len(typical)]
         others = _rows(*fit.predicted_by_others(), linear.at, fit.model.null)
-        of_throws = np.concatenate([linear.rows, linear.residual[..., None]], -1)
-        rows = np.concatenate([of_throws, others], 1)
+        rows = np.concatenate([linear.information.rows, others], 1)
         lower, upper = linear.ends
         move = _moves(rows, fit.model.null, lower - linear.at, upper - linear.at)
         off = np.linalg.norm((rows[..., :-1] @ move[..., None])[..., 0], axis=1).max()
         if off < _SETTLED or linearization == _AGAIN:
             break
         move *= min(1.0, _LARGE / np.abs(move).max())
-        steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
+        steps = marginal.follow @ (typical * move)[..., None]
         values = solution.values + steps[..., 0]
         values = _inside(values, tasks.typical, tasks.lower, tasks.upper)
         solution = at_coefficients(throws, values)
-    told = np.zeros((*others.shape[:2], len(tasks.typical) + 1))
-    told[..., np.append(common, True)] = others / np.append(typical, 1.0)
     ended = np.full(len(solution.values), off < _ENDED)
-    return population, solution._replace(success=ended), told
+    of_others = replace(linear.information, rows=others)
+    return population, solution._replace(success=ended), of_others
 
 
 def _about(
-    throws: Together, solution: Solution, reduction: Reduction, centre: Floats
+    throws: Together, information: Information, centre: Floats
 ) -> LinearizedThrows:
-    """Throws about a solution, with their priors about the mean `centre`."""
+    """Throws of which this is known of the parameters in common, with their priors
+    about the mean `centre`."""
     tasks, common = throws.tasks, throws.common
     typical = tasks.typical[common]
     reference = throws.solution.values[0, common]
-    rows = reduction.in_common(typical)
     prior = None
     penalty = tasks.penalty.at((0, common))
     if penalty.informative:
         off, slope = penalty.residual_and_slope(centre)
         of_prior = np.diag(slope * typical)
         prior = of_prior, of_prior @ ((centre - reference) / typical) - off
-    return LinearizedThrows(
-        rows[..., :-1],
-        rows[..., -1],
-        (solution.values[:, common] - reference) / typical,
-        reference,
-        typical,
-        (tasks.lower[0, common], tasks.upper[0, common]),
-        prior,
-    )
+    return LinearizedThrows(information, reference, prior)
 
 
 def at_coefficients(throws: Together, values: Floats) -> Solution:
@@ -347,42 +359,18 @@ def at_coefficients(throws: Together, values: Floats) -> Solution:
     return minimize_many(throws.rounds.model, tasks, batch, _STEPS)
 
 
-def told_by_data(
-    tasks: Tasks,
-    solution: Solution,
-    reduction: Reduction,
-    names: Sequence[str],
-    held: Booleans | None = None,
-) -> Covariance:
-    """What all throws, or those of which the reduction has rows, say of what they have
-    in common, without priors; some parameters may be `held`, as if they were known."""
-    common = reduction.common
-    values, lower, upper = (
-        part[0, common] for part in (solution.values, tasks.lower, tasks.upper)
-    )
-    typical = tasks.typical[common]
-    rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
-    if held is not None:
-        known = held[common]
-        lower = np.where(known, values, lower)
-        upper = np.where(known, values, upper)
-        rows[:, :-1] *= ~known
-    bounded = Bounded(values, lower, upper)
-    return first_order(names, Factors.of(rows, bounded, typical), bounded, typical)
-
-
 def _of_throws(throws: Together) -> Penalty:
     """The priors of what throws do not have in common."""
     penalty = throws.tasks.penalty
     return penalty._replace(weight=penalty.weight * ~throws.common)
 
 
-def reduced(throws: Together, solution: Solution) -> Reduction:
-    """What throws say of what they have in common, near their optima."""
-    tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
-    within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
-    whole = combined(factors, _of_throws(throws).rows(within.values))
-    return Reduction.of(whole, within, tasks.typical, throws.common)
+def marginal_of(throws: Together, solution: Solution) -> Marginal:
+    """What throws say of what they have in common, near their optima, with the priors
+    of their other parameters."""
+    information = throws.information(solution)
+    priors = _of_throws(throws).rows(information.values)
+    return information.with_rows(priors).marginal(throws.common)
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
@@ -392,7 +380,7 @@ def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
     held = np.broadcast_to(
         np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1)
     )
-    factor = combined(rows, held)[:, :size]
+    factor = r_factor(np.concatenate([rows, held], -2))[:, :size]
     root = factor[..., :-1]
     found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
     for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):

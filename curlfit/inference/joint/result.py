@@ -18,7 +18,7 @@ from curlfit.friction import Law, find_law
 from curlfit.inference.derived import Derived, Quantiles, derive
 from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
 from curlfit.inference.fit.result import FitResult, load_fit
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.joint.effects import Effect, Means
 from curlfit.inference.mcmc.chain import Chain, digest, load_chain
 from curlfit.inference.named_matrix import NamedMatrix

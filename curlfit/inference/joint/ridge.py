@@ -5,25 +5,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import Departures, departures_together
-from curlfit.inference.fit.factors import Reduction, combined
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
-from curlfit.inference.identifiability import (
-    Bounded,
-    demanded_errors,
-    r_factor,
-    r_factors,
-)
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.information import Information, Marginal
+from curlfit.inference.information.ridge_information import demanded_errors
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.population import Together
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
-from curlfit.inference.least_squares import Solution, Tasks
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -33,13 +30,15 @@ _DRAWN = 16
 """Points of the ridge at most at which a draw is computed."""
 
 
-class _Refit(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Refit:
     """The optimum of all throws, or that with a parameter in common held."""
 
     solution: Solution
-    factors: Floats
-    """R factors of each throw with its own priors, the residual as the last column"""
-    reduction: Reduction
+    information: Information
+    """what each throw says with its own priors"""
+    marginal: Marginal
+    """of the parameters in common"""
     of_common: Floats
     """rows of the priors of what they have in common, which count once"""
     chi_squared: float
@@ -48,48 +47,50 @@ class _Refit(NamedTuple):
     """index of the parameter that is held"""
 
     @classmethod
-    def of(
-        cls, solution: Solution, tasks: Tasks, common: Booleans, held: int | None
-    ) -> Self:
+    def of(cls, together: Together, solution: Solution, held: int | None) -> Self:
+        tasks = together.tasks
+        common = together.common
         values = np.asarray(solution.values)
         priors = tasks.penalty.rows(values)
-        factors = r_factors(solution.jacobian, solution.residual)
-        factors = combined(factors, priors * ~common[:, None])
-        bounded = Bounded(values, tasks.lower, tasks.upper)
-        reduction = Reduction.of(factors, bounded, tasks.typical, common)
+        information = together.information(solution)
+        information = information.with_rows(priors * ~common[:, None])
+        marginal = information.marginal(common)
         penalty = tasks.penalty.at(0)
         shared = penalty._replace(weight=penalty.weight * common)
         own = tasks.penalty._replace(weight=tasks.penalty.weight * ~common)
         added = own.chi_squared(values).sum() + shared.chi_squared(values[0])
         chi_squared = float(solution.chi_squared.sum() + added)
         of_common = priors[0] * common[:, None]
-        return cls(solution, factors, reduction, of_common, chi_squared, held)
+        return cls(solution, information, marginal, of_common, chi_squared, held)
+
+    @cached_property
+    def _others(self) -> Information:
+        """What the other throws say of the parameters in common, for each."""
+        return self.marginal.information.of_others()
 
     def of_throw(self, row: int) -> Point:
         """The point among the parameters of a throw, with what the others say."""
-        others = self.reduction.others[row]
-        rows = combined(self.factors[row], others, self.of_common)
-        values = self.solution.values[row]
-        return Point(values, rows[:, :-1], self.chi_squared, self.held)
+        information = self.information.at(row) + self._others.at(row)
+        information = information.with_rows(self.of_common)
+        values = information.values
+        return Point(values, information.slopes, self.chi_squared, self.held)
 
     def in_common(self) -> Point:
         """The point among the parameters in common."""
-        common = self.reduction.common
-        rows = self.reduction.in_common().reshape(-1, int(common.sum()) + 1)
+        common = self.marginal.common
         of_common = self.of_common[:, np.append(common, True)]
-        slopes = r_factor(np.concatenate([rows, of_common]))[:, :-1]
-        values = self.solution.values[0, common]
+        information = self.marginal.information.together().with_rows(of_common)
         held = self.held
         if held is not None:
             held = int(common[:held].sum())
-        return Point(values, slopes, self.chi_squared, held)
+        return Point(information.values, information.slopes, self.chi_squared, held)
 
     def near(self, values: Floats) -> Floats:
         """Initial values of all throws for some values of what they have in common,
         where the tangent here leads."""
-        common = self.reduction.common
+        common = self.marginal.common
         step = values - self.solution.values[0, common]
-        starts = self.solution.values + self.reduction.follow[:, :, common] @ step
+        starts = self.solution.values + self.marginal.follow @ step
         return np.asarray(starts)
 
 
@@ -143,7 +144,7 @@ def follow_jointly(
     tasks = together.tasks
     common = together.common
     places = np.flatnonzero(common)
-    refits = [_Refit.of(solution, tasks, common, None)]
+    refits = [_Refit.of(together, solution, None)]
     points = [refits[0].in_common()]
 
     def refit(holds: Sequence[Hold]) -> list[Point]:
@@ -167,7 +168,7 @@ def follow_jointly(
             held = tasks._replace(start=start, lower=lower, upper=upper)
             model = together.rounds.model
             optimum = minimize_jointly(model, held, common, how=_REFIT)
-            refits.append(_Refit.of(optimum, tasks, common, index))
+            refits.append(_Refit.of(together, optimum, index))
             points.append(refits[-1].in_common())
         return points[first:]
 

@@ -22,8 +22,10 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.findings import Finding, Remedy
 from curlfit.friction import Coefficient
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.information import Information
 from curlfit.inference.joint.advice import warnings_of_slopes
 from curlfit.inference.joint.alone import ThrowsAlone
 from curlfit.inference.joint.draw import TIMES, Draw
@@ -167,14 +169,15 @@ def _linearized(season: Season, share: float) -> LinearizedThrows:
     told = season.rows(share)
     rows = told[..., :-1]
     free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
-    return LinearizedThrows(
-        rows * typical,
-        (rows @ season.values[..., None])[..., 0] - told[..., -1],
-        (season.values - reference) / typical,
-        reference,
-        typical,
-        (np.where(free, lower, reference), np.where(free, upper, reference)),
+    bounded = Bounded(
+        season.values,
+        np.broadcast_to(np.where(free, lower, reference), season.values.shape),
+        np.broadcast_to(np.where(free, upper, reference), season.values.shape),
     )
+    residual = (rows @ season.values[..., None])[..., 0] - told[..., -1]
+    names = [coefficient.name for coefficient in laws_coefficients]
+    information = Information.of(names, bounded, typical, rows, residual)
+    return LinearizedThrows(information, reference)
 
 
 def _joined(throws: LinearizedThrows, varying: Varying, columns: Floats) -> Population:
@@ -189,7 +192,7 @@ def _equal(
 ) -> tuple[Covariance, dict[str, Estimate]]:
     """What all throws say if they are equal."""
     nothing = Varying({}, np.zeros(0))
-    same = np.zeros((len(throws.rows), 0))
+    same = np.zeros((len(throws.information.rows), 0))
     names = [coefficient.name for coefficient in laws_coefficients]
     covariance = _joined(throws, nothing, same).of_mean(names)
     estimates = {}
@@ -234,9 +237,8 @@ def mean_of(
         # What one throw leaves open may have gone there to explain what differs
         # between them.
         root = count**-0.5
-        as_one = throws._replace(
-            rows=root * throws.rows, residual=root * throws.residual
-        )
+        rows = root * throws.information.rows
+        as_one = throws._replace(information=replace(throws.information, rows=rows))
         covariance, coefficients = _equal(as_one, laws_coefficients)
         verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
     known_weights = weights_of_known(

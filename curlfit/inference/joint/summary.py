@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import stdtr
 
 from curlfit.inference.derived import Quantiles, quantiles_of
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import (
     Covariates,

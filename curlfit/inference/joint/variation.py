@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.special import chdtrc
 
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.joint.alone import ThrowsAlone, errors_told
 from curlfit.inference.joint.result import Variation
 from curlfit.inference.verdict import Verdict

@@ -12,7 +12,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import with_combinations
+from curlfit.inference.information.combinations import with_combinations
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import ROWS_OF_DATA, Problem

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import DataError, InputError
 from curlfit.friction import LAWS, Law
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import with_combinations
+from curlfit.inference.information.combinations import with_combinations
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed

@@ -22,7 +22,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction.base import START_NAMES
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import directions
+from curlfit.inference.information.directions import directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.verdict import Verdict

@@ -19,7 +19,7 @@ from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.estimates import Posterior
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import with_combinations
+from curlfit.inference.information.combinations import with_combinations
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.numerics.arrays import Floats
 

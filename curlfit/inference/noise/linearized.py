@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from curlfit.inference.identifiability import directions
+from curlfit.inference.information.directions import directions
 from curlfit.inference.noise.accelerations import amplitude_root
 from curlfit.noises import Filter, Noise
 from curlfit.numerics.arrays import Booleans, Floats

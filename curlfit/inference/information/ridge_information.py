@@ -15,12 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import (
-    LITTLE,
-    demanded_errors,
-    directions,
-    visible,
-)
+from curlfit.inference.information.directions import directions, visible
+from curlfit.inference.information.thresholds import LITTLE
 from curlfit.numerics.arrays import Booleans, Floats
 
 
@@ -95,6 +91,18 @@ def information_along(
         shortened -= (1 - 1 / length) * np.outer(unit, unit @ shortened)
     kept = rows - taken @ (taken.T @ rows)
     return RidgeInformation(kept, shortened @ (taken.T @ rows))
+
+
+def demanded_errors(moved: Floats, rises: Floats) -> Floats:
+    """Standard errors that the points of a ridge demand of a quantity: to first order,
+    its value is within sqrt(rise) of them of the estimate.
+
+    Parameters
+    ----------
+    moved : distances of its values there from the estimate. rises : of chi squared.
+    """
+    demanded: Floats = moved / np.sqrt(np.maximum(rises, 1.0))
+    return demanded
 
 
 def _farthest(points: Floats) -> Floats | None:
