@@ -8,7 +8,7 @@ between weakly determined and undetermined directions. The QR of the stacked fac
 several throws or channels gives the factor of the sum of their information.
 
 Columns are scaled by typical sizes of the parameters, as in
-`curlfit.inference.identifiability`.
+`curlfit.inference.information`.
 """
 
 from __future__ import annotations

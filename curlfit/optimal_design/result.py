@@ -64,7 +64,7 @@ class ExpectedErrors:
         is not free.
     combinations : determined combinations of coefficients that are not
         determined individually.
-    rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
+    rank, singular_values, null_directions : see `curlfit.inference.information`.
     """
 
     throws: tuple[int, ...]

@@ -35,7 +35,7 @@ CONSTANTS = {
         "_LOWER",
         "_NO_SPIN",
     ),
-    "curlfit.inference.identifiability": (
+    "curlfit.inference.information.thresholds": (
         "LITTLE",
         "STRETCHED",
         "WIDE",

@@ -43,7 +43,7 @@ ROUNDING = 1e-9
 """Singular values over the largest, below which they are rounding errors."""
 THRESHOLDS = {"stderr": (0.5,), "singular_values": (1.0, 1e-3)}
 """Standard error over typical size, and singular values, at which verdicts change (see
-`curlfit.inference.identifiability`)."""
+`curlfit.inference.information`)."""
 NEAR = 0.02
 """Relative distance to a threshold within which a verdict may be another one."""
 

@@ -89,7 +89,7 @@ class DataOfFit(Extent):
 
 @dataclass(frozen=True)
 class Determined(Entry):
-    """What a fit determines, in short; `curlfit.inference.identifiability` computes it.
+    """What a fit determines, in short; `curlfit.inference.information` computes it.
 
     Attributes
     ----------

@@ -3,10 +3,10 @@
 To first order about its optimum, the log-likelihood of a throw is a quadratic in the
 coefficients of the law, and that is all that a second fit needs of it. Where it is no
 quadratic, the throw says twice what it says: exactly, where its ridge leaves it, and as
-roughly as the ridge is wide (`curlfit.inference.fit.ridge_information`). The place of
-the estimate on its ridge is no matter of chance: ridges of throws alike bend the same
-way, and the mean of many estimates is no nearer to the truth than one. So what throws
-say roughly counts once, for all of them.
+roughly as the ridge is wide (`curlfit.inference.information.ridge_information`). The
+place of the estimate on its ridge is no matter of chance: ridges of throws alike bend
+the same way, and the mean of many estimates is no nearer to the truth than one. So what
+throws say roughly counts once, for all of them.
 """
 
 from __future__ import annotations
