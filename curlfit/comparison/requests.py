@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from curlfit.friction import Law, Load
@@ -14,8 +15,15 @@ from curlfit.settings.choices import Comparing, Fitting
 from curlfit.throws.throw import Throw, require_path
 
 
-def requests_of(throw: Throw, chosen: Comparing) -> list[Request]:
+def requests_of(
+    throw: Throw, chosen: Comparing, called: Mapping[str, str] | None = None
+) -> list[Request]:
     """The requests to fit each law to a throw, under each load and noise.
+
+    Parameters
+    ----------
+    called : what the user calls a choice, such as a flag, by its name; the name itself
+        by default.
 
     Raises
     ------
@@ -25,7 +33,11 @@ def requests_of(throw: Throw, chosen: Comparing) -> list[Request]:
     require_path(throw)
     laws_and_loads = laws_under(chosen.laws, chosen.load)
     options = {**chosen.by_parameter, "start": chosen.start}
-    require_known([law for law, _ in laws_and_loads], options)
+    called = called or {}
+    require_known(
+        [law for law, _ in laws_and_loads],
+        {called.get(name, name): values for name, values in options.items()},
+    )
     requests: list[Request] = []
     for noise in chosen.noise:
         for law, load in laws_and_loads:

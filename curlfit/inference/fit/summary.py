@@ -221,7 +221,7 @@ class _Many(NamedTuple):
     def information(self, jacobian: Floats) -> _Informations:
         """From Jacobians of shape (throws, channels, n, parameters)."""
         of_data = Information.of(
-            self.throws[0].parameters.names,
+            self.requests[0].parameters.names,
             self.bounded,
             self.typical,
             jacobian,

@@ -393,7 +393,7 @@ class LawOnSets:
     def told(self, found: Solution) -> Told:
         """What throws and tables at their optimum say of the coefficients."""
         information = Information.of(
-            self.rounds.throws[0].parameters.names,
+            self.rounds.requests[0].parameters.names,
             Bounded(np.asarray(found.values), *self.tasks[2:4]),
             self.tasks.typical,
             found.jacobian,

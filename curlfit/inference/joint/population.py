@@ -164,7 +164,7 @@ class Together(NamedTuple):
         tasks = self.tasks
         bounded = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
         return Information.of(
-            self.rounds.throws[0].parameters.names,
+            self.rounds.requests[0].parameters.names,
             bounded,
             tasks.typical,
             solution.jacobian,
