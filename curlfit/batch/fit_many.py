@@ -98,7 +98,7 @@ def _with_fit(
     if plan.posterior:
         quantiles, warnings_of_posterior = _sampled(fit, plan.seed)
         warnings += warnings_of_posterior
-    derived = fit.with_derived(plan.derive).derived
+    derived = [fit.derive(expression) for expression in plan.derive]
     return replace(
         row,
         status=Status.OK,

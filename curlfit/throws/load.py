@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from glob import glob
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -59,6 +60,7 @@ writes; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
+_SWEPT = re.compile(r"[ \t]*#+[ \t]*swept[ \t]*=")
 _MOST_ASIDES, _HEAD = 200, 30  # lines that show the format, with and without comments
 
 
@@ -219,7 +221,7 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
         Throw.from_events if parsed.events else Throw.from_arrays
     )
     given = Reading(**{name: getattr(reading, name) for name in Reading.forms()})
-    throw = replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
+    throw = make(**assemble(parsed, reading), read_with=tuple(given.words()))
     if reading.throws is None:
         return throw
     entry = entry_in(Path(reading.throws), throw.name)
@@ -246,8 +248,8 @@ def _text_if_any(file: str | PathLike[str], reading: Reading) -> TextFile:
 
 def states_sweeping(file: str | PathLike[str], reading: Reading) -> bool:
     """Whether a file states that its stone was swept (`# swept = [A, B]`)."""
-    text = "\n".join(_text_if_any(file, reading).lines)
-    return re.search(r"^[ \t]*#+[ \t]*swept[ \t]*=", text, re.MULTILINE) is not None
+    comments = _text_if_any(file, reading).comments()
+    return any(_SWEPT.match(line) for _, line in comments)
 
 
 def check_reading(reading: Reading) -> None:
@@ -296,9 +298,8 @@ def detect_format(lines: list[str], columns: Collection[str] = ()) -> str:
     for reader in _READERS:
         if set(columns) & set(reader.columns):
             return reader.name
-    head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or [
-        "t"
-    ]
+    filled = (line for line in lines[:_MOST_ASIDES] if not is_aside(line))
+    head = list(islice(filled, _HEAD)) or ["t"]
     return next(reader.name for reader in _READERS if reader.recognizes(head))
 
 

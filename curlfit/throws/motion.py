@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
+from curlfit.throws.channels import median
 from curlfit.throws.throw import Throw, scatter
 
 _JUMP = 0.15  # m/s; largest abrupt change of a velocity, apart from friction
@@ -51,6 +52,8 @@ class MeasuredMotion(NamedTuple):
     t, begin, end : middle, first and last time of each block in s, shape (k,).
     speed, error : speed and its standard error in m/s, shape (k,).
     velocity : in m/s, shape (2, k).
+    rows : number of rows with both x and y; some may be outliers.
+    times, positions : of the others, shape (n,) in s and (2, n) in m.
     length : extent of the path, m. friction, friction_error : mean deceleration over g,
         and its standard error.
     curl, curl_error : deviation at the end from the initial direction in m, positive to
@@ -64,6 +67,9 @@ class MeasuredMotion(NamedTuple):
     speed: Floats
     error: Floats
     velocity: Floats
+    rows: int
+    times: Floats
+    positions: Floats
     length: float
     friction: float
     friction_error: float
@@ -86,15 +92,15 @@ def path_of(throw: Throw) -> tuple[Floats, Floats]:
 
 def motion_of(throw: Throw) -> MeasuredMotion | None:
     """The motion of a throw; None if there are too few positions."""
-    t, positions = path_of(throw)
-    if len(t) < FEWEST:
+    every, places = path_of(throw)
+    if len(every) < FEWEST:
         return None
-    t, positions = _without_outliers(t, positions)
+    t, positions = _without_outliers(every, places)
     begin, end, middle, velocity, error = _block_slopes(t, positions)
     speed = np.hypot(*velocity)
     if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
         rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+        error = np.maximum(error, float(median(rough)) / (0.6745 * math.sqrt(6)))
     length = float(np.hypot(*np.ptp(positions, axis=1)))
     friction, (curl, off, direction) = (
         _friction(middle, speed, error),
@@ -107,6 +113,9 @@ def motion_of(throw: Throw) -> MeasuredMotion | None:
         speed,
         error,
         velocity,
+        len(every),
+        t,
+        positions,
         length,
         *friction,
         curl,
@@ -120,7 +129,7 @@ def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
     five = np.sort(
         np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1
     )
-    bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
+    bend = 0.5 * _BRAKING * (2 * float(median(np.diff(t)))) ** 2
     limit = 0.02 + bend + 6 * scatter(positions)[:, None]
     near = np.ones(len(t), bool)
     near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
@@ -158,7 +167,7 @@ def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
     slope = float(speed[moving] @ at) / spread
     rest = speed[moving] - speed[moving].mean() - slope * at
     noise = max(
-        float(np.median(error[moving])),
+        float(median(error[moving])),
         float(np.sqrt((rest @ rest) / max(len(at) - 2, 1))),
     )
     return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
@@ -209,7 +218,7 @@ def turning(throw: Throw) -> tuple[float, float]:
         t, values = throw.t[seen], values[seen]
         if name == "phi":
             few = max(1, min(len(t) // 10, 5))
-            turned = float(np.median(values[-few:]) - np.median(values[:few]))
+            turned = float(median(values[-few:]) - median(values[:few]))
         else:
             turned = float(np.trapezoid(values, t))
         return turned, turned / float(t[-1] - t[0])
@@ -228,7 +237,7 @@ def release(throw: Throw) -> float | None:
     if seen.sum() < 4 * FEWEST:
         return None
     t, phi = throw.t[seen], throw.phi[seen]
-    turned = np.abs(phi - np.median(phi[:5])) > _TURNED
+    turned = np.abs(phi - median(phi[:5])) > _TURNED
     n = int(np.argmax(turned)) + 1
     held = max(int(np.searchsorted(t, t[0] + _HELD)), FEWEST)
     t, phi = t[:n], phi[:n]
@@ -283,7 +292,7 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     if len(t) < 20:
         return None
     noise = float(np.hypot(*scatter(positions)))
-    dt = float(np.median(np.diff(t)))
+    dt = float(median(np.diff(t)))
     # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12
     # s^2/(m^3 dt^2)
     rows = int(
@@ -314,7 +323,7 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     return float(t[best + rows]), float(np.hypot(*change[:, best]))
 
 
-def position_jump(throw: Throw) -> tuple[float, float, float] | None:
+def position_jump(motion: MeasuredMotion) -> tuple[float, float, float] | None:
     """Times in s before and after the largest jump of the position, and its size in m;
     None if there is none.
 
@@ -322,12 +331,10 @@ def position_jump(throw: Throw) -> tuple[float, float, float] | None:
     after, whatever hits it; what is beyond that is a jump, if most of some rows before
     and after it lie on straight lines.
     """
-    every, places = path_of(throw)
-    if len(every) < FEWEST:
-        return None
-    t, positions = _without_outliers(every, places)
+    t = motion.times
+    positions = motion.positions
     noise = float(np.hypot(*scatter(positions)))
-    if noise > _NOISY or len(t) < (1 - _OUTLYING) * len(every):
+    if noise > _NOISY or len(t) < (1 - _OUTLYING) * motion.rows:
         return None
     last = np.arange(2, len(t) - 3)  # row before a jump
     jumps = _beyond_motion(t, positions, last)

@@ -23,7 +23,7 @@ from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
-from curlfit.throws.channels import running_median
+from curlfit.throws.channels import median, running_median
 from curlfit.throws.motion import (
     FEWEST,
     SURE,
@@ -245,7 +245,7 @@ def _gap(throw: Throw) -> Iterator[Finding]:
         return
     last = int(np.argmax(steps))
     longest, times = _LONGEST_GAP
-    if steps[last] < max(longest, times * float(np.median(steps))):
+    if steps[last] < max(longest, times * float(median(steps))):
         return
     early = last + 1 < len(throw) / 2
     row = last if early else last + 1
@@ -269,7 +269,7 @@ def _far(throw: Throw) -> Iterator[Finding]:
     for name in ("x", "y"):
         rows = np.flatnonzero(np.isfinite(getattr(throw, name)))
         values = getattr(throw, name)[rows]
-        if len(values) < 2 * _BESIDE:
+        if len(values) < 2 * _BESIDE or np.ptp(values) <= _LENGTH:
             continue
         off = np.abs(values - running_median(values, _BESIDE))
         far = off > _LENGTH
@@ -303,7 +303,7 @@ def _line(throw: Throw, row: int) -> int | None:
 
 def _jump(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A position that jumps from one row to the next."""
-    jump = position_jump(throw)
+    jump = position_jump(motion)
     if jump is None:
         return
     before, after, size = jump
@@ -530,10 +530,10 @@ def _ratios(throw: Throw, motion: MeasuredMotion) -> Iterator[_Ratio]:
     """The measured speed over that of the path, where the stone is fast enough, and
     the integral of the spin over the change of the angle."""
     has_speed = np.isfinite(throw.speed)
-    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
+    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(median(motion.error)))
     if has_speed.sum() >= 4 and fast.sum() >= 3:
         speed = np.interp(motion.t, throw.t[has_speed], throw.speed[has_speed])
-        ratio = float(np.median(speed[fast] / motion.speed[fast]))
+        ratio = float(median(speed[fast] / motion.speed[fast]))
         yield _Ratio("speed", "the path", ratio)
     has_angle = np.isfinite(throw.phi)
     has_spin = np.isfinite(throw.omega)

@@ -12,7 +12,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.directions import directions, standard_error
 from curlfit.inference.information.ridge_information import information_along
 from curlfit.inference.information.thresholds import WEAK_ERROR
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 
 # eigenvalue over the largest, of information in typical sizes, that is not rounding
 _SEEN = 1e-10
@@ -37,7 +37,7 @@ def coefficient_rows(fit: FitResult, names: Sequence[str] | None = None) -> Floa
     (coefficients, coefficients + 1); errors are one."""
     names = list(fit.coefficients) if names is None else names
     free, typical, matrix, gradient = _information_in_typical_sizes(fit)
-    wanted = np.isin(free, names)
+    wanted = _among(free, names)
     # Whatever the other parameters are: the Schur complement.
     inverse = np.linalg.pinv(matrix[~wanted][:, ~wanted], hermitian=True)
     follow: Any = matrix[wanted][:, ~wanted] @ inverse
@@ -68,7 +68,7 @@ def coefficient_rows_along_ridge(
     rises = np.array([point.rise for point in fit.ridge])
     moves = _moves_along_ridge(fit, free) / typical
     step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
-    wanted = np.isin(free, names)
+    wanted = _among(free, names)
     kept, stretched = information_along(matrix, moves, rises).of(wanted, step)
     values = np.array([fit.parameters[name].value for name in names])
     sizes = np.append(typical[wanted], 1.0)
@@ -136,7 +136,12 @@ def _information_in_typical_sizes(
 def _padded(fit: FitResult, rows: Floats, names: Sequence[str]) -> Floats:
     """Rows on the free ones of some parameters, with what they give as the last
     column, as rows on all of these parameters, as many as there are of them."""
-    columns = np.append(np.isin(names, fit.information.names), True)
+    columns = np.append(_among(names, fit.information.names), True)
     padded = np.zeros((len(names), len(names) + 1))
     padded[: len(rows), columns] = rows
     return padded
+
+
+def _among(names: Sequence[str], others: Sequence[str]) -> Booleans:
+    """Whether each name is among others."""
+    return np.array([name in others for name in names], bool)

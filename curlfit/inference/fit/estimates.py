@@ -29,6 +29,9 @@ from curlfit.output.display import Displayed
 from curlfit.output.frames import frame
 from curlfit.records import ADDED, Record
 
+_OF_PARAMETER = [attribute.name for attribute in fields(Parameter)][1:]
+"""Attributes of a parameter, besides its name, that its estimate has too."""
+
 
 @dataclass(frozen=True)
 class Estimate(WithInterval):
@@ -65,10 +68,7 @@ class Estimate(WithInterval):
     def of(cls, item: Parameter, value: float, verdict: Verdict, **known: Any) -> Self:
         """The estimate of a parameter; without a standard error unless it is among what
         is `known` besides."""
-        of_parameter = {
-            attribute.name: getattr(item, attribute.name)
-            for attribute in fields(Parameter)[1:]
-        }
+        of_parameter = {name: getattr(item, name) for name in _OF_PARAMETER}
         stated = {"value": value, "stderr": None, "verdict": verdict}
         return cls(**stated | known | of_parameter)
 

@@ -264,7 +264,7 @@ class _Many(NamedTuple):
             count = counts[row] if self.common is None else counts
             sigmas = Sigmas(
                 number=counts[row],
-                estimated=np.isin(channels, list(fit.sigma)),
+                estimated=np.array([channel in fit.sigma for channel in channels]),
                 loss=self.loss,
                 total=count.sum(),
             )
@@ -623,6 +623,8 @@ def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult
     systematic errors, from the shifts of the open parameters by condition."""
     first_order = result.first_order
     products = products_of(first_order)
+    if not products and not shifts:
+        return result
     shifts_of_products = {}
     for product in products:
         gradient = gradient_of(first_order, product.expression)

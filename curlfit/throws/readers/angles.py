@@ -300,5 +300,5 @@ def turning_rate(t: Floats, phi: Floats) -> float:
     some = finite[:: max(1, len(finite) // 10)]
     if len(some) < 2:
         return 0.0
-    rates = np.abs(np.diff(phi[some]) / np.diff(t[some]))
-    return float(np.quantile(rates, 0.75))
+    rates = np.sort(np.abs(np.diff(phi[some]) / np.diff(t[some])))
+    return float(np.interp(0.75, np.linspace(0, 1, len(rates)), rates))

@@ -25,7 +25,7 @@ from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
 from curlfit.throws.reference import Conventions
 
 _MEASURED = ("x", "y", "u", "v", "phi")
-_PLACEHOLDERS = (0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0)
+_PLACEHOLDERS = np.array([0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0])
 """What programs write for a value that was lost."""
 _MANY = 10
 """Values of a channel that are not the same by chance."""
@@ -141,8 +141,9 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     if not channels:
         return columns
     written = np.column_stack([columns[name] / factors[name] for name in channels])
-    alike = np.isclose(written, written[:, :1], rtol=1e-12, atol=0.0).all(axis=1)
-    lost = alike & np.isin(written[:, 0], _PLACEHOLDERS)
+    first = written[:, :1]
+    alike = (np.abs(written - first) <= 1e-12 * np.abs(first)).all(axis=1)
+    lost = alike & (first == _PLACEHOLDERS).any(axis=1)
     lost &= np.maximum.accumulate(~alike)
     if len(channels) > 1 and lost.any():
         count = int(lost.sum())

@@ -11,6 +11,7 @@ GAPS = {"", *WORDS["gaps"].split()}
 """Cells without a value, among them the errors of spreadsheets."""
 LOST = set(WORDS["lost"].split())
 """What people write for a value that was lost; a note says so."""
+_IN_BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 # "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
@@ -23,8 +24,11 @@ def is_gap(cell: str) -> bool:
 
 def separator_of(line: str) -> str | None:
     """Separator of the cells of a header line; None for spaces."""
-    bare = re.sub(r"\([^()]*\)|\[[^\[\]]*\]", "", line)
-    return next((mark for mark in ("\t", ";", ",") if mark in bare), None)
+    bare = _IN_BRACKETS.sub("", line)
+    for mark in ("\t", ";", ","):
+        if mark in bare:
+            return mark
+    return None
 
 
 def headings_in(line: str) -> list[str]:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import NamedTuple
 
 from curlfit.errors import InputError
@@ -41,6 +42,7 @@ class Heading(NamedTuple):
     unit: str = ""
 
     @classmethod
+    @lru_cache(1024)
     def of(cls, text: str) -> Heading:
         """The meaning of a heading."""
         words = _words(text.strip().strip("\"'"))

@@ -425,7 +425,7 @@ class Table:
     def with_units_below(self) -> Table:
         """The table with the units of a second row in its headings, if this has
         units alone."""
-        index = next(iter(lines_of_data(self.file, self.header + 1)), None)
+        index = next(iter(lines_of_data(self.file, self.header + 1, 1)), None)
         if index is None:
             return self
         row = header_cells(self.file.lines[index], self.separator)
