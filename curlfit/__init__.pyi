@@ -39,10 +39,13 @@ from .html_report.page import write_report as write_report
 from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit
 from .inference.fit.result import FitResult as FitResult, load_fit as load_fit
-from .inference.joint.fit import fit_together as fit_together
-from .inference.joint.result import JointResult as JointResult, load_joint as load_joint
-from .inference.mcmc.chain import Chain as Chain, load_chain as load_chain
-from .inference.mcmc.sampler import sample as sample
+from .inference.sampling.chain import Chain as Chain, load_chain as load_chain
+from .inference.sampling.sampler import sample as sample
+from .inference.together.fit import fit_together as fit_together
+from .inference.together.result import (
+    JointResult as JointResult,
+    load_joint as load_joint,
+)
 from .optimal_design.design import design as design
 from .optimal_design.discriminate import discriminate as discriminate
 from .optimal_design.discrimination import (

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from curlfit.friction_tables.result import FrictionFits
     from curlfit.inference.fit.estimates import Posterior
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.joint.result import JointResult
-    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.sampling.chain import Chain
+    from curlfit.inference.together.result import JointResult
     from curlfit.optimal_design.discrimination import Discrimination
     from curlfit.optimal_design.result import Design
     from curlfit.output.document import Document
@@ -70,7 +70,7 @@ class _Joint(Kind):
         return figures
 
     def load(self, file: File) -> JointResult:
-        from curlfit.inference.joint.result import load_joint
+        from curlfit.inference.together.result import load_joint
 
         return load_joint(file)
 

@@ -77,7 +77,7 @@ def save_all(folder: Path) -> None:
     from report_records import of_all
 
     import curlfit
-    from curlfit.inference.joint.result import folder_name
+    from curlfit.inference.together.result import folder_name
 
     found = of_all(curlfit.load_throw(DATA))
     names = {"prediction": "predict", "comparison": "compare"}

@@ -113,7 +113,7 @@ def _sampled(
     result: FitResult, seed: int
 ) -> tuple[Mapping[str, Mapping[str, float]], list[Finding]]:
     """Quantiles of the posterior by name, or a warning that says why there are none."""
-    from curlfit.inference.mcmc.sampler import sample
+    from curlfit.inference.sampling.sampler import sample
 
     try:
         fit_with_posterior, _ = sample(result, seed=seed)

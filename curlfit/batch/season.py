@@ -27,11 +27,11 @@ from curlfit.errors import DataError
 from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.friction import Law, find_law
-from curlfit.inference.joint.result import JointResult
-from curlfit.inference.joint.season import Season, mean_of
-from curlfit.inference.model import Model
-from curlfit.inference.parameters import START
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import START
+from curlfit.inference.together.result import JointResult
+from curlfit.inference.together.season import Season, mean_of
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.readers.table import Table

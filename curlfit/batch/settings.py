@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from curlfit.friction import Law, Load, NetLaw, find_law
-from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.request import parameters_of_any
+from curlfit.inference.model.parameters import ParameterSet
+from curlfit.inference.model.request import parameters_of_any
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, OneOf, option
 from curlfit.throws.load import check_reading

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from curlfit.friction import Law
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.joint.result import JointResult
-    from curlfit.inference.mcmc.chain import Chain
-    from curlfit.inference.request import Request
+    from curlfit.inference.model.request import Request
+    from curlfit.inference.sampling.chain import Chain
+    from curlfit.inference.together.result import JointResult
 
 
 _BY_THROW = ("since", "until", "exclude", "stone", "sigma", "swept")
@@ -201,7 +201,7 @@ def _fit_one(
             from curlfit.inference.fit.throw_stack import first_problem
 
             if not sampling.no_sample:
-                from curlfit.inference.mcmc.sampler import prepare_sampling
+                from curlfit.inference.sampling.sampler import prepare_sampling
 
                 # its program is compiled beside those of the fit
                 prepare_sampling(*first_problem(request))
@@ -258,7 +258,7 @@ def _saved_fit(folder: Path, request: Request) -> FitResult | None:
     if not (folder / "fit.json").exists():
         return None
     from curlfit.inference.fit.result import load_fit
-    from curlfit.inference.mcmc import chain
+    from curlfit.inference.sampling import chain
 
     saved = load_fit(folder)
     subject = chain.subject_of_fit(
@@ -278,7 +278,7 @@ def _seed_of_chain(folder: Path, saved: FitResult, seed: int | None) -> int | No
     """The seed with which the chain of a saved fit goes on: that of the chain, if there
     is one, unless another is given. Raises `InputError` if the chain is of another
     problem or seed."""
-    from curlfit.inference.mcmc import chain
+    from curlfit.inference.sampling import chain
 
     file = folder / "chain.h5"
     if not file.exists():
@@ -313,7 +313,7 @@ def _sample(
     is kept in the file `checkpoint`."""
     from rich.progress import BarColumn, TimeRemainingColumn
 
-    from curlfit.inference.mcmc.sampler import sample
+    from curlfit.inference.sampling.sampler import sample
 
     columns = (
         "Sampling the posterior",
@@ -351,7 +351,7 @@ def _fit_jointly(
     """Fit several throws, by the names of their folders, jointly and print the report;
     write `joint.json`, figures, single fits."""
     from curlfit.friction import find_law
-    from curlfit.inference.joint.request import JointRequest
+    from curlfit.inference.together.request import JointRequest
     from curlfit.output.files import claim_folder
 
     drawn = output.drawn()
@@ -381,7 +381,7 @@ def _fit_jointly(
 
     columns = (f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}")
     with progress_line(output.console(), *columns) as show:
-        from curlfit.inference.joint.fit import fit_joint_request
+        from curlfit.inference.together.fit import fit_joint_request
 
         result = fit_joint_request(
             request,

@@ -9,7 +9,7 @@ from curlfit.wording import hanging, listed
 
 if TYPE_CHECKING:
     from curlfit.friction import Coefficient, Law
-    from curlfit.inference.conditions import Condition
+    from curlfit.inference.model.conditions import Condition
 
 
 def laws(
@@ -31,7 +31,7 @@ def laws(
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, TERMS, find_law
-    from curlfit.inference.conditions import ASSUMED, CONDITIONS
+    from curlfit.inference.model.conditions import ASSUMED, CONDITIONS
     from curlfit.output.console import terminal
 
     if conditions and names:

@@ -19,7 +19,7 @@ from curlfit.output.kinds import KINDS
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
-    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.sampling.chain import Chain
 
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -180,7 +180,7 @@ def _load(
         return kind, KINDS[kind].load(folder), None
     result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
-        from curlfit.inference.mcmc.summary import unfinished_posterior
+        from curlfit.inference.sampling.summary import unfinished_posterior
 
         chain = None
         sampled = unfinished_posterior(result, chain_beside(folder))

@@ -59,7 +59,7 @@ def check(
         Draw the data to this file.
     """
     from curlfit.errors import DataError
-    from curlfit.inference.parameters import FEWEST_ROWS
+    from curlfit.inference.model.parameters import FEWEST_ROWS
     from curlfit.output.console import terminal
     from curlfit.throws.friction_table import is_friction_table
     from curlfit.throws.load import read, rows_of_table, throw_of
@@ -358,8 +358,8 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
     from curlfit.friction import find_law
-    from curlfit.inference.parameters import START
-    from curlfit.inference.system import System
+    from curlfit.inference.model.parameters import START
+    from curlfit.inference.model.system import System
     from curlfit.throws.synthetic import law_with
 
     fit, _ = s.load_fit_and_chain(folder)

@@ -21,9 +21,9 @@ from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.curl import law_in_general
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.initial_values import POINTS, accelerations_along
-from curlfit.inference.model import Model
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.model import Model
+from curlfit.inference.solve.initial_values import POINTS, accelerations_along
 from curlfit.losses import LOSSES, Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches, stacked

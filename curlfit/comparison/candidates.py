@@ -17,7 +17,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.threads import in_threads
 
 Progress = Callable[[str, int, int], None]

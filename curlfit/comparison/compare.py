@@ -48,8 +48,8 @@ from curlfit.friction.family import LawFamily, family_of
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit_request
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.request import Request
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.request import Request
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES
 from curlfit.settings.choices import Comparing, takes

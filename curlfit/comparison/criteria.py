@@ -37,7 +37,7 @@ ln(p/p1)) about the estimate p1: the prior is normal in q, and the integral exac
 where the data determine p and where only the prior does (MacKay 1998).
 
 Where chi squared is no quadratic, and the values that fit lie on a curve, the integral
-is that of importance sampling along it (`curlfit.inference.mcmc.draws`).
+is that of importance sampling along it (`curlfit.inference.sampling.draws`).
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from scipy.special import log_ndtr, logsumexp
 
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.mcmc.draws import WeightedProposals
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.likelihood import SIGMA_FLOOR
+from curlfit.inference.model.priors import Lognormal
 from curlfit.inference.noise.whitening import whitened
-from curlfit.inference.priors import Lognormal
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.sampling.draws import WeightedProposals
 from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import CHANNELS

@@ -18,7 +18,7 @@ import numpy as np
 from curlfit.comparison.result import PLACE, Lacking
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.initial_values import POINTS, accelerations_along
+from curlfit.inference.solve.initial_values import POINTS, accelerations_along
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.numerics.differences import slopes

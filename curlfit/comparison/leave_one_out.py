@@ -35,7 +35,7 @@ from curlfit.comparison.criteria import NULL, NormalFactors, Posterior, Quadrati
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
+from curlfit.inference.model.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes

@@ -23,7 +23,7 @@ from curlfit.comparison.result import Candidate, Comparison, OnSet, SetOfData
 from curlfit.comparison.tables import coefficients_table, summary
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.output.document import Document, Said, Section, command_line
 from curlfit.output.table import Cell, Column, Table
 from curlfit.output.text import STYLE, stone_text

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from curlfit.friction import Law, Load
 from curlfit.friction.registry import laws_under
-from curlfit.inference.conditions import ALL
-from curlfit.inference.parameters import options_of, require_known
-from curlfit.inference.request import Request
+from curlfit.inference.model.conditions import ALL
+from curlfit.inference.model.parameters import options_of, require_known
+from curlfit.inference.model.request import Request
 from curlfit.noises import Noise
 from curlfit.settings.choices import Comparing, Fitting
 from curlfit.throws.throw import Throw, require_path

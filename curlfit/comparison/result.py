@@ -12,7 +12,7 @@ from curlfit.comparison.candidate_columns import IN_FRAME
 from curlfit.findings import Finding
 from curlfit.inference.fit.entries import AnyNoise, DataOfFit, LossName, NoiseName
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.noises import NOISES, WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame_of

@@ -36,9 +36,9 @@ from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.fit.entries import DataOfFit
 from curlfit.inference.information.thresholds import CONVERGED
-from curlfit.inference.joint.data_sets import LawOnSets, Noise, best, data_sets
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.problem import ROWS_OF_DATA
+from curlfit.inference.model.problem import ROWS_OF_DATA
+from curlfit.inference.solve.least_squares import Solution
+from curlfit.inference.together.data_sets import LawOnSets, Noise, best, data_sets
 from curlfit.losses import LINEAR
 from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats

@@ -22,7 +22,7 @@ from curlfit.comparison.candidate_columns import (
     SIZE_Y,
 )
 from curlfit.comparison.result import Candidate, Comparison
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.output import latex
 from curlfit.output.frames import csv_of
 from curlfit.output.table import Column, Table

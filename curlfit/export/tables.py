@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from curlfit.foreign import counted, csv_lines
-from curlfit.inference.derived import Derived, Quantiles, to_its_side
 from curlfit.inference.fit.estimate_columns import (
     DOF,
     HIGH,
@@ -28,7 +27,8 @@ from curlfit.inference.fit.estimate_columns import (
 )
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.derived import Derived, Quantiles, to_its_side
+from curlfit.inference.information.verdict import Verdict
 from curlfit.output import latex
 from curlfit.output.frames import csv_of
 from curlfit.output.table import Table
@@ -36,7 +36,7 @@ from curlfit.wording import compact, rounded_ends
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.joint.result import JointResult
+    from curlfit.inference.together.result import JointResult
 
 
 def rows_of(

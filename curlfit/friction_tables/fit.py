@@ -1,5 +1,5 @@
 """Friction laws fitted to measured friction against speed: a data set alone, see
-`curlfit.inference.joint.data_sets`."""
+`curlfit.inference.together.data_sets`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from curlfit.friction.registry import laws_under
 from curlfit.friction_tables.result import DataOfTable, FrictionFit, FrictionFits
 from curlfit.inference.fit.caveats import of_bounds, of_ridges
 from curlfit.inference.information.thresholds import CONVERGED
-from curlfit.inference.joint.data_sets import DataSet, LawOnSets
+from curlfit.inference.together.data_sets import DataSet, LawOnSets
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.threads import in_threads
 from curlfit.settings.choices import Comparing

@@ -8,7 +8,7 @@ from rich.text import Text
 from curlfit.findings import Finding
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
 from curlfit.inference.fit.estimate_columns import EstimateRow
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.table import Column, Table
 from curlfit.reports.estimates import estimates_table, reported, style_of

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.joint.result import JointResult
-    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.sampling.chain import Chain
+    from curlfit.inference.together.result import JointResult
     from curlfit.prediction.result import Prediction
 
 _MOST_ANIMATED = 6  # throws in a page

@@ -37,7 +37,7 @@ from curlfit.output.files import atomic_write, prepare_folder, require_replaceab
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
-    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.sampling.chain import Chain
 
 _MARK = '<meta name="generator" content="curlfit'
 _SCRIPTS = ("moving.js", "replay.js", "direction.js", "rests.js")

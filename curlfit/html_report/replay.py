@@ -12,7 +12,7 @@ import numpy as np
 
 from curlfit.html_report.blocks import InteractiveBlock
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import DATA_COLOR, some_rows
 from curlfit.output.ticks import unit_for

@@ -37,17 +37,17 @@ from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.directions import r_factor
 from curlfit.inference.information.information import Information
-from curlfit.inference.initial_values import default_guess
-from curlfit.inference.joint.solver import JOINT, minimize_jointly
-from curlfit.inference.least_squares import (
+from curlfit.inference.model.likelihood import linearize, whitened_residuals_of_many
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.solve.initial_values import default_guess
+from curlfit.inference.solve.least_squares import (
     ALONG_RIDGE,
     Solution,
     Tasks,
     minimize_many,
 )
-from curlfit.inference.likelihood import linearize, whitened_residuals_of_many
-from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import Problem
+from curlfit.inference.together.solver import JOINT, minimize_jointly
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
 from curlfit.numerics.batches import FEW, in_batches, stacked, unstacked

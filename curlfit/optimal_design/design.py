@@ -32,7 +32,7 @@ from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.information.directions import r_factor, standard_error
 from curlfit.inference.information.identifiability import Identifiability
 from curlfit.inference.information.thresholds import WEAK_ERROR
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.departures import errors_along, expected_departures
 from curlfit.optimal_design.information import (

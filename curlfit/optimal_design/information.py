@@ -29,17 +29,17 @@ from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.directions import r_factor, standard_error
 from curlfit.inference.information.information import Information
-from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize, predict_many
-from curlfit.inference.model import Model
-from curlfit.inference.noise.accelerations import Responses
-from curlfit.inference.parameters import (
+from curlfit.inference.model.likelihood import linearize, predict_many
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import (
     BOUNDS_WITHOUT_ANGLE,
     START,
     ParameterSet,
 )
-from curlfit.inference.problem import LEVEL_AND_STILL, Problem
-from curlfit.inference.system import motions
+from curlfit.inference.model.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.model.system import motions
+from curlfit.inference.noise.accelerations import Responses
+from curlfit.inference.solve.least_squares import Indices
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import FEW, in_batches, stacked
 from curlfit.stone import Stone
@@ -318,7 +318,7 @@ def record_information(
 
     Parameters
     ----------
-    widths : of the conditions to be examined, see `curlfit.inference.conditions`.
+    widths : of the conditions to be examined, see `curlfit.inference.model.conditions`.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.optimal_design.result import (
     Candidate,
     Design,

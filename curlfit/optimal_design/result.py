@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from curlfit.findings import Finding
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.loads import Load
 from curlfit.optimal_design.throw_columns import (
     DISTANCE,
@@ -86,7 +86,7 @@ class Scenario:
     name : such as "both spins".
     stderr : standard error by quantity.
     shifts : by quantity and by condition that a fit holds fixed, for one width of the
-        condition (see `curlfit.inference.conditions`).
+        condition (see `curlfit.inference.model.conditions`).
     """
 
     name: str

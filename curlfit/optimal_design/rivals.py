@@ -20,13 +20,13 @@ from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.systematics import residual_changes, widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.directions import r_factor, visible
-from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.fit import solved_together
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.likelihood import predict_many
-from curlfit.inference.parameters import START, ParameterSet
-from curlfit.inference.problem import problem_shape
-from curlfit.inference.request import Request
+from curlfit.inference.model.likelihood import predict_many
+from curlfit.inference.model.parameters import START, ParameterSet
+from curlfit.inference.model.problem import problem_shape
+from curlfit.inference.model.request import Request
+from curlfit.inference.solve.least_squares import Solution
+from curlfit.inference.together.effects import Covariates
+from curlfit.inference.together.fit import solved_together
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import side_by_side, stacked
 from curlfit.optimal_design.information import (

@@ -32,8 +32,8 @@ from curlfit.settings.forms import NUMBER, PATH, VALUES, option
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.mcmc.chain import Chain
-    from curlfit.inference.request import Request
+    from curlfit.inference.model.request import Request
+    from curlfit.inference.sampling.chain import Chain
     from curlfit.throws.throw import Throw
 
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
@@ -145,7 +145,7 @@ class ConfiguredThrow(Generic[Chosen]):
     @cached_property
     def rows(self) -> Throw:
         """The rows that are used, with the sigmas that are given."""
-        from curlfit.inference.request import rows_in_use
+        from curlfit.inference.model.request import rows_in_use
 
         return rows_in_use(self.throw, self.chosen)
 
@@ -153,7 +153,7 @@ class ConfiguredThrow(Generic[Chosen]):
     def request(self: ConfiguredThrow[ModelChoices]) -> Request:
         """The request to fit the throw, made before slow modules are loaded. Raises
         `InputError` if it cannot be fitted."""
-        from curlfit.inference.request import Request
+        from curlfit.inference.model.request import Request
 
         return Request.of(self.throw, self.chosen)
 
@@ -205,7 +205,7 @@ def prepare_all(
     InputError : as `prepare`; two files have the same name; no throw
         determines friction.
     """
-    from curlfit.inference.joint.result import folder_names
+    from curlfit.inference.together.result import folder_names
     from curlfit.throws.load import load_throws
 
     configured = read_config(config)
@@ -268,7 +268,7 @@ def load_fit_and_chain(
     if result.posterior is None or not file.is_file():
         return result, None
 
-    from curlfit.inference.mcmc.chain import load_chain
+    from curlfit.inference.sampling.chain import load_chain
 
     return result, load_chain(file, result)
 

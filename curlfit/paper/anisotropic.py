@@ -16,13 +16,13 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
-from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.initial_values import accelerations_along
-from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.model import Model
-from curlfit.inference.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.model.conditions import ALL
+from curlfit.inference.model.likelihood import predict_channels
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.solve.initial_values import accelerations_along
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
 from curlfit.numerics.compiled import compiled

@@ -26,7 +26,7 @@ from curlfit.friction import LAWS, Law, Load, LocalLaw, RingPoint, coefficient
 from curlfit.friction.family import family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
 from curlfit.friction.sums import Sum
-from curlfit.inference.model import Model
+from curlfit.inference.model.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches
 from curlfit.numerics.compiled import compiled

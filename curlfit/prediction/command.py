@@ -173,7 +173,7 @@ def predict(
     result: Any
     chain = None
     if s.kind_of(fit) == "joint":
-        from curlfit.inference.joint.result import load_joint
+        from curlfit.inference.together.result import load_joint
 
         result = load_joint(fit).with_law(law)
     else:

@@ -10,11 +10,11 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.joint.draw import Draw
-from curlfit.inference.model import Model
-from curlfit.inference.parameters import START
-from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
-from curlfit.inference.system import motions, prepare_motions
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import START
+from curlfit.inference.model.problem import LEVEL_AND_STILL, environment_of
+from curlfit.inference.model.system import motions, prepare_motions
+from curlfit.inference.together.draw import Draw
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH
 from curlfit.prediction.request import GUARD, PlannedThrow, aimed

@@ -33,12 +33,12 @@ from curlfit.findings import Finding, Remedy
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.joint.another import another
-from curlfit.inference.joint.result import JointResult
-from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.mcmc.draws import draws_along_ridge
-from curlfit.inference.mcmc.ridge import ridge_proposal
-from curlfit.inference.parameters import START
+from curlfit.inference.model.parameters import START
+from curlfit.inference.sampling.chain import Chain
+from curlfit.inference.sampling.draws import draws_along_ridge
+from curlfit.inference.sampling.ridge import ridge_proposal
+from curlfit.inference.together.another import another
+from curlfit.inference.together.result import JointResult
 from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics

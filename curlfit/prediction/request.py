@@ -12,10 +12,10 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.joint.draw import Draw
-from curlfit.inference.parameters import START
-from curlfit.inference.system import System
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.parameters import START
+from curlfit.inference.model.system import System
+from curlfit.inference.together.draw import Draw
 from curlfit.prediction.result import Call, Goal, Origin
 from curlfit.settings.forms import VALUES, numbers
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH

@@ -122,7 +122,7 @@ def _source(
     def make() -> Any:
         from curlfit.inference.fit.fit import fit_request
         from curlfit.inference.fit.throw_stack import first_problem
-        from curlfit.inference.least_squares import prepare_minimize
+        from curlfit.inference.solve.least_squares import prepare_minimize
         from curlfit.numerics.batches import FEW
 
         prepare_minimize(*first_problem(request), FEW)

@@ -20,8 +20,8 @@ from scipy.interpolate import PchipInterpolator
 from curlfit.errors import InputError, Option, UnusableFitError
 from curlfit.findings import Finding, Remedy
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.sampling.chain import Chain
 from curlfit.numerics.arrays import Floats
 from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Refit
 from curlfit.profile_likelihood.result import (

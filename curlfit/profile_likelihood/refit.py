@@ -19,7 +19,7 @@ import numpy as np
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.inference.solve.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import FEW, stacked, unstacked
 from curlfit.profile_likelihood.result import levels_for

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.table import Column, Table

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.joint.result import JointResult
-from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.sampling.chain import Chain
+from curlfit.inference.together.result import JointResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from curlfit.foreign import counted
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.wording import join_words
 
 if TYPE_CHECKING:

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from curlfit.findings import Finding
-from curlfit.inference.conditions import if_off, is_calibration
-from curlfit.inference.derived import Derived
 from curlfit.inference.fit.estimate_columns import (
     NAME,
     POSTERIOR,
@@ -17,7 +15,9 @@ from curlfit.inference.fit.estimate_columns import (
     VERDICT,
     EstimateRow,
 )
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.derived import Derived
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.conditions import if_off, is_calibration
 from curlfit.output.document import Said
 from curlfit.output.table import Table
 from curlfit.wording import capital, compact, join_words

@@ -15,8 +15,8 @@ from curlfit.foreign import counted
 from curlfit.inference.fit.entries import FittedEvent
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.joint.effects import Effect
-from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.together.effects import Effect
+from curlfit.inference.together.result import JointResult, Variation
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.figures import Style

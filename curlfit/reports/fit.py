@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted, file_and_number
-from curlfit.inference.derived import Derived, Quantiles, scaled, to_its_side
 from curlfit.inference.fit.entries import FittedEvent
 from curlfit.inference.fit.estimate_columns import (
     NAME,
@@ -22,8 +21,14 @@ from curlfit.inference.fit.estimate_columns import (
     VALUE,
     EstimateRow,
 )
-from curlfit.inference.parameters import START
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.derived import (
+    Derived,
+    Quantiles,
+    scaled,
+    to_its_side,
+)
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.parameters import START
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.table import Column, Table

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.findings import Finding
-from curlfit.inference.derived import Quantiles
 from curlfit.inference.fit.estimate_columns import (
     POSTERIOR,
     STDERR,
@@ -19,7 +18,8 @@ from curlfit.inference.fit.estimate_columns import (
     EstimateRow,
     interval_in_words,
 )
-from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slopes
+from curlfit.inference.information.derived import Quantiles
+from curlfit.inference.together.effects import SLOPES_DIFFER, chances_of_alike_slopes
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.table import Column, Table
@@ -48,8 +48,8 @@ from curlfit.wording import (
 if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Estimate
     from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.joint.effects import Effect
-    from curlfit.inference.joint.result import JointResult, Variation
+    from curlfit.inference.together.effects import Effect
+    from curlfit.inference.together.result import JointResult, Variation
 
 
 class _Words(NamedTuple):

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from curlfit.foreign import counted
-from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.estimate_columns import interval_in_words
+from curlfit.inference.information.derived import Quantiles, quantiles_of
 from curlfit.output.document import Document, Section
 from curlfit.output.table import Column, Table
 from curlfit.wording import from_to
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Posterior
-    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.sampling.chain import Chain
 
 _SHOWN = 4  # parameters in a line
 

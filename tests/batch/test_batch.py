@@ -26,9 +26,9 @@ from curlfit.batch.table import GrowingTable
 from curlfit.friction import LAWS
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
-from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
-from curlfit.inference.mcmc import sampler
-from curlfit.inference.model import Model
+from curlfit.inference.model.model import Model
+from curlfit.inference.sampling import sampler
+from curlfit.inference.solve.initial_values import POINTS, accelerations_and_slopes
 from curlfit.numerics.batches import stacked
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 

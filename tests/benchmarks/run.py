@@ -387,11 +387,11 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from emcee.autocorr import integrated_time
 
     from curlfit import fit, sample
-    from curlfit.inference.likelihood import log_posterior
-    from curlfit.inference.model import Model
-    from curlfit.inference.priors import Penalty
-    from curlfit.inference.problem import build_problem
-    from curlfit.inference.request import Request
+    from curlfit.inference.model.likelihood import log_posterior
+    from curlfit.inference.model.model import Model
+    from curlfit.inference.model.priors import Penalty
+    from curlfit.inference.model.problem import build_problem
+    from curlfit.inference.model.request import Request
     from curlfit.settings.choices import Modelling
 
     result = fit(throw)
@@ -451,8 +451,8 @@ def _nuts(law: Any, problem: Any, parameters: Any, centre: Any) -> float:
     from numpyro.diagnostics import effective_sample_size
     from numpyro.infer import MCMC, NUTS, init_to_value
 
-    from curlfit.inference.likelihood import log_likelihood
-    from curlfit.inference.model import Model
+    from curlfit.inference.model.likelihood import log_likelihood
+    from curlfit.inference.model.model import Model
 
     scale = parameters.typical * 1e-3
     low = (parameters.lower - centre) / scale

@@ -13,7 +13,7 @@ from conftest import filmed
 
 from curlfit import LAWS, load_comparison, load_fit, load_profile
 from curlfit.environment import Environment
-from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.model.conditions import CONDITIONS
 from curlfit.settings.choices import Comparing, Fitting, Reading
 from curlfit.throws.synthetic import write_table
 

@@ -12,7 +12,7 @@ from conftest import DATA, command
 
 import curlfit
 from curlfit.export.tables import estimates_table
-from curlfit.inference.joint.result import folder_name
+from curlfit.inference.together.result import folder_name
 from curlfit.options.settings import result_folder
 from curlfit.settings.choices import Reading
 

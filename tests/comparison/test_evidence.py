@@ -20,7 +20,7 @@ from curlfit.comparison.criteria import (
     log_likelihood,
 )
 from curlfit.inference.fit.problems import problem_of
-from curlfit.inference.likelihood import chi_squared_of_many
+from curlfit.inference.model.likelihood import chi_squared_of_many
 from curlfit.numerics.batches import BATCH, stacked
 
 FIXED = {

@@ -25,13 +25,13 @@ from scipy import stats
 import curlfit
 from curlfit import Finding
 from curlfit.errors import InputError
-from curlfit.inference.mcmc.arviz_export import (
+from curlfit.inference.model.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.noise.whitening import Whitener
+from curlfit.inference.sampling.arviz_export import (
     draw_noise,
     log_likelihoods,
     whitening_matrix,
 )
-from curlfit.inference.noise.whitening import Whitener
-from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.losses import LOSSES
 from curlfit.noises import Ar1
 from curlfit.output import html

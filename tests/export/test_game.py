@@ -26,8 +26,8 @@ from curlfit.export.accelerations import (
     tabulate,
 )
 from curlfit.friction import LOADS
-from curlfit.inference.conditions import CONDITIONS
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.conditions import CONDITIONS
 
 # none of those of `tabulate`
 THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))

@@ -14,9 +14,9 @@ from curlfit.friction import LocalLaw
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.fit.fit import fit_request
-from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
-from curlfit.inference.model import Model
-from curlfit.inference.request import Request
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.request import Request
+from curlfit.inference.solve.initial_values import POINTS, accelerations_and_slopes
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Fitting
 

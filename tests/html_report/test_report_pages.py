@@ -23,7 +23,7 @@ from curlfit.html_report.direction import _curves
 from curlfit.html_report.page import page_of
 from curlfit.html_report.replay import replay_of_fit
 from curlfit.inference.fit.curves import CurveModel
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.reports.fit import command_of
 from curlfit.settings.choices import Fitting
 

@@ -14,7 +14,7 @@ import pytest
 
 import curlfit
 from curlfit.comparison.criteria import log_evidence, log_likelihood
-from curlfit.inference.mcmc.draws import WeightedProposals, draws_along_ridge
+from curlfit.inference.sampling.draws import WeightedProposals, draws_along_ridge
 
 FOLDER = Path(__file__).parent / "open_throws"
 NOISE = {"x": 0.005, "y": 0.005}

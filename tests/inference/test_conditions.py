@@ -13,7 +13,7 @@ import curlfit
 from curlfit import LAWS, InitialState, InputError, Stone, Throw, load_fit, simulate
 from curlfit.environment import Environment
 from curlfit.errors import Option
-from curlfit.inference.conditions import CONDITIONS, WIDTHS, if_off
+from curlfit.inference.model.conditions import CONDITIONS, WIDTHS, if_off
 from curlfit.throws.events import Event
 
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)

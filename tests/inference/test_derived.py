@@ -15,13 +15,13 @@ from scipy.optimize import approx_fprime
 import curlfit
 from curlfit.environment import Environment
 from curlfit.errors import InputError
-from curlfit.inference.derived import FirstOrder, _demanded, derive
-from curlfit.inference.expression import parse
 from curlfit.inference.fit.estimates import Estimate, RidgePoint
+from curlfit.inference.fit.products import products_of
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.named_matrix import NamedMatrix
-from curlfit.inference.products import products_of
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.derived import FirstOrder, _demanded, derive
+from curlfit.inference.information.expression import parse
+from curlfit.inference.information.named_matrix import NamedMatrix
+from curlfit.inference.information.verdict import Verdict
 from curlfit.reports.fit import document
 from curlfit.sheet import LINES, TEE
 from curlfit.throws.synthetic import write_table

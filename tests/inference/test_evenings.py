@@ -155,7 +155,7 @@ def test_curl_without_turns_is_told_at_the_usual_spin(tmp_path):
 
 def test_nothing_is_told_of_what_was_not_found(monkeypatch):
     """No difference of sheets stands beside a fit that cannot be used."""
-    from curlfit.inference.joint import population
+    from curlfit.inference.together import population
 
     monkeypatch.setattr(population, "_ENDED", 0.0)
     joint = fitted("slip", by="sheet")

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
 from curlfit.inference.fit.residuals import residual_sigma
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.model.problem import LEVEL_AND_STILL, Problem
+from curlfit.inference.solve.least_squares import Solution
 
 NAMES = ("mu1_xi", "mu2_xi")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from curlfit.inference.joint.effects import Means
-from curlfit.inference.joint.posterior import sampled
+from curlfit.inference.together.effects import Means
+from curlfit.inference.together.posterior import sampled
 from curlfit.numerics.mixed_model import MixedModel
 
 

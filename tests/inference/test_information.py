@@ -8,7 +8,7 @@ import pytest
 from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.information import Information
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 
 NAMES = ("a", "b", "c")
 TYPICAL = np.array([1.0, 0.01, 3.0])

@@ -17,8 +17,8 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
 from curlfit.findings import Finding
-from curlfit.inference.joint.result import warnings_of
-from curlfit.inference.joint.variation import _variation
+from curlfit.inference.together.result import warnings_of
+from curlfit.inference.together.variation import _variation
 from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]

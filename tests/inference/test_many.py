@@ -9,9 +9,9 @@ from conftest import NOISE, TIMES, filmed
 import curlfit
 from curlfit import LAWS, Stone
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.likelihood import linearize, predict_channels
-from curlfit.inference.model import Model
-from curlfit.inference.problem import build_problem
+from curlfit.inference.model.likelihood import linearize, predict_channels
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import build_problem
 from curlfit.numerics.batches import BATCH, stacked
 
 

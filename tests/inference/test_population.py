@@ -15,9 +15,9 @@ from scipy.stats import norm
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
-from curlfit.inference.joint.population import _moves
-from curlfit.inference.joint.posterior import sampled
-from curlfit.inference.joint.result import folder_names
+from curlfit.inference.together.population import _moves
+from curlfit.inference.together.posterior import sampled
+from curlfit.inference.together.result import folder_names
 from curlfit.numerics.mixed_model import MixedModel
 from curlfit.prediction.result import Call, Prediction
 from curlfit.throws.events import Event
@@ -277,7 +277,7 @@ def test_labels_that_give_no_effects_are_refused(labels, words, message):
 
 
 def test_a_clock_may_pass_midnight():
-    from curlfit.inference.joint.effects import Covariates
+    from curlfit.inference.together.effects import Covariates
 
     starts = [("a", {"start": text}) for text in ("23:30", "23:45", "0:15")]
     found = Covariates.of(starts, [], ["start"])

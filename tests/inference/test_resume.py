@@ -15,7 +15,7 @@ import pytest
 from conftest import DATA, command, invoke, started
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
-from curlfit.inference.mcmc import chain, density, sampler as sampling
+from curlfit.inference.sampling import chain, density, sampler as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
 

@@ -20,9 +20,9 @@ from scipy.optimize import linprog
 
 import curlfit
 from curlfit import Stone, fit, load_chain, sample
-from curlfit.inference.mcmc.ridge import RidgeProposal, _extent, proposed
-from curlfit.inference.mcmc.sampler import SideBySide
-from curlfit.inference.mcmc.summary import Diagnosis, steps_to_discard
+from curlfit.inference.sampling.ridge import RidgeProposal, _extent, proposed
+from curlfit.inference.sampling.sampler import SideBySide
+from curlfit.inference.sampling.summary import Diagnosis, steps_to_discard
 
 
 def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
@@ -286,7 +286,7 @@ def test_emcee_is_imported_without_what_one_move_needs_and_the_move_works():
     script = """
 import sys
 import numpy as np
-import curlfit.inference.mcmc.sampler
+import curlfit.inference.sampling.sampler
 assert "scipy.stats" not in sys.modules
 import emcee
 random = np.random.default_rng(0)

@@ -14,8 +14,8 @@ from rich.console import Console
 import curlfit
 from curlfit import Stone
 from curlfit.inference.fit.coefficient_rows import coefficient_rows
-from curlfit.inference.joint.season import Season, mean_of
-from curlfit.inference.model import Model
+from curlfit.inference.model.model import Model
+from curlfit.inference.together.season import Season, mean_of
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.065)

@@ -11,7 +11,11 @@ from scipy.special import stdtr
 import curlfit
 from curlfit import InputError, load_joint
 from curlfit.errors import Option
-from curlfit.inference.joint.effects import SLOPES_DIFFER, Covariates, with_own_slopes
+from curlfit.inference.together.effects import (
+    SLOPES_DIFFER,
+    Covariates,
+    with_own_slopes,
+)
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.prediction.result import Call
 from curlfit.reports.joint import document

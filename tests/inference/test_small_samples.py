@@ -18,7 +18,7 @@ from curlfit.inference.fit.covariance import FitCovariance
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
-from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.losses import LINEAR
 from curlfit.profile_likelihood.result import levels_of
 from curlfit.reports.determined import identifiability

@@ -19,8 +19,8 @@ import curlfit
 from curlfit import LAWS
 from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.problems import problem_of
-from curlfit.inference.least_squares import MOST_STEPS, Tasks, minimize_many
-from curlfit.inference.likelihood import chi_squared_of_many
+from curlfit.inference.model.likelihood import chi_squared_of_many
+from curlfit.inference.solve.least_squares import MOST_STEPS, Tasks, minimize_many
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.throw import CHANNELS
 

@@ -16,11 +16,11 @@ from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.least_squares import Tasks, solve
-from curlfit.inference.likelihood import predict_channels, predict_many
-from curlfit.inference.model import Model
-from curlfit.inference.problem import build_problem
-from curlfit.inference.request import Request
+from curlfit.inference.model.likelihood import predict_channels, predict_many
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import build_problem
+from curlfit.inference.model.request import Request
+from curlfit.inference.solve.least_squares import Tasks, solve
 from curlfit.numerics.batches import stacked
 from curlfit.prediction.report import describe_rest
 from curlfit.settings.choices import Fitting

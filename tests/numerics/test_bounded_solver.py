@@ -10,8 +10,8 @@ import optimistix as optx
 import pytest
 from scipy.optimize import least_squares
 
-from curlfit.inference.least_squares import Control
-from curlfit.inference.priors import Penalty
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.solve.least_squares import Control
 from curlfit.numerics import bounded_solver as bounded
 from curlfit.numerics.arrow_matrix import Blocks
 

@@ -8,13 +8,13 @@ import pytest
 from matplotlib.text import Text
 
 import curlfit
-from curlfit.inference.joint.result import (
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.sampling.chain import Chain
+from curlfit.inference.together.result import (
     DeterminedTogether,
     JointResult,
     Variation,
 )
-from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.verdict import Verdict
 from curlfit.loads import Load
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import Picture

@@ -19,9 +19,9 @@ from scipy.optimize import brentq
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.problem import LEVEL_AND_STILL
 from curlfit.inference.noise.accelerations import COMPONENTS, SPEEDS
-from curlfit.inference.problem import LEVEL_AND_STILL
-from curlfit.inference.verdict import Verdict
 from curlfit.numerics import compiled
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble

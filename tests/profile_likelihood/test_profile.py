@@ -14,10 +14,10 @@ from scipy.stats import chi2
 import curlfit
 from curlfit import InputError, UnusableFitError
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.likelihood import whitened_residuals_of_many
-from curlfit.inference.mcmc.sampler import sample
-from curlfit.inference.problem import build_problem
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.likelihood import whitened_residuals_of_many
+from curlfit.inference.model.problem import build_problem
+from curlfit.inference.sampling.sampler import sample
 from curlfit.losses import LOSSES
 from curlfit.numerics.batches import stacked
 from curlfit.profile_likelihood.profile import _warnings

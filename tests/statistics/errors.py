@@ -21,8 +21,8 @@ from tables import LEVELS, Table, asked, correlated, share
 
 import curlfit
 from curlfit.environment import Environment
-from curlfit.inference.conditions import WIDTHS
 from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.model.conditions import WIDTHS
 
 TIMES = np.linspace(0.0, 20.0, 201)
 ASSUMED = {"R": 0.065, "rho": 0.1, "h": 0.057, "length_scale": 1.0, "time_scale": 1.0}

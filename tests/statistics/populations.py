@@ -25,9 +25,9 @@ from numpyro.infer import MCMC, NUTS, init_to_value
 from tables import Table
 
 import curlfit
-from curlfit.inference.derived import LEVELS
 from curlfit.inference.fit.coefficient_rows import coefficient_rows
-from curlfit.inference.joint.effects import Covariates
+from curlfit.inference.information.derived import LEVELS
+from curlfit.inference.together.effects import Covariates
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4
 

@@ -26,7 +26,7 @@ import curlfit
 from curlfit.comparison.criteria import log_evidence, log_likelihood
 from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out
 from curlfit.inference.fit.problems import problem_of
-from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.model.likelihood import predict_channels
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
 REACH = 8.0  # standard errors of the initial state, within which it is integrated

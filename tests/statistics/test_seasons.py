@@ -12,7 +12,7 @@ from ridge import season_on_disk
 from simulator import simulated
 
 import curlfit
-from curlfit.inference.joint import summary
+from curlfit.inference.together import summary
 
 TRANSVERSE = {"c": 0.008, "k": -0.5, "b": 0.05}
 FRONT_BACK = {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}

@@ -31,9 +31,9 @@ from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.identifiability import Identifiability
 from curlfit.inference.information.information import Information
 from curlfit.inference.information.thresholds import WEAK_ERROR
-from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.model.likelihood import predict_channels
 from curlfit.inference.noise.independence import is_rough
+from curlfit.inference.solve.least_squares import Indices
 from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes

@@ -8,15 +8,15 @@ import numpy as np
 
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
-from curlfit.inference.derived import Derived
 from curlfit.inference.fit.departures import Departures, KnownCondition
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.information.derived import Derived
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.independence import time_of_motion
-from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 

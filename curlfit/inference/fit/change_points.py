@@ -30,7 +30,7 @@ from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.model.likelihood import predict_channels
 from curlfit.inference.noise.independence import time_of_motion
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.information import Information, Marginal
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.problem import Problem
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.solve.least_squares import Solution
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
+from curlfit.inference.model.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
 from curlfit.throws.throw import CHANNELS

@@ -30,7 +30,7 @@ from curlfit.inference.information.thresholds import (
     WEAK_ERROR,
     WIDE,
 )
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 
 _PROBED = 2.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.inference.named_matrix import NamedMatrix, read_only
+from curlfit.inference.information.named_matrix import NamedMatrix, read_only
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from curlfit.inference.derived import Derived, Quantiles
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.derived import Derived, Quantiles
+from curlfit.inference.information.verdict import Verdict
 from curlfit.output.table import Column
 from curlfit.output.text import judged, labelled
 from curlfit.wording import format_estimate, from_to

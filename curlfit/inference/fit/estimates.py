@@ -10,8 +10,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from curlfit.friction import Parameter
-from curlfit.inference.conditions import CALIBRATION, is_calibration
-from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.fit.estimate_columns import (
     HIGH,
     LOW,
@@ -23,8 +21,10 @@ from curlfit.inference.fit.estimate_columns import (
     EstimateRow,
 )
 from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.derived import Derived, Quantiles
 from curlfit.inference.information.intervals import WithInterval
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.conditions import CALIBRATION, is_calibration
 from curlfit.output.display import Displayed
 from curlfit.output.frames import frame
 from curlfit.records import ADDED, Record
@@ -48,7 +48,8 @@ class Estimate(WithInterval):
         alone do not determine it. Otherwise empty.
     dof : degrees of freedom of the standard error; None without one, or where
         sigma was given.
-    prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
+    prior : its prior, in the notation of `curlfit.inference.model.priors`; empty
+        without one.
     """
 
     value: float

@@ -19,9 +19,9 @@ from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.model import Model
-from curlfit.inference.problem import problem_shape
-from curlfit.inference.request import Request
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import problem_shape
+from curlfit.inference.model.request import Request
 from curlfit.losses import LOSSES
 from curlfit.noises import Noise
 from curlfit.numerics.batches import BATCH, side_by_side

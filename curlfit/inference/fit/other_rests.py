@@ -1,21 +1,21 @@
 """Initial values with the rest of the stone in other rows of a measured spin.
 
 A law whose spin ends with a jump passes from a moving stone to a resting one within the
-interval of one row (`curlfit.inference.spin_at_rest`). Of measured spins that fall to
-zero over many rows, it may meet any one within the jump, so that chi squared may have a
-minimum with the rest in each of these rows. From one of them, the others are reached by
-values whose rest is some rows earlier or later, and which change the rest of the
-residuals least.
+interval of one row (`curlfit.inference.model.spin_at_rest`). Of measured spins that
+fall to zero over many rows, it may meet any one within the jump, so that chi squared
+may have a minimum with the rest in each of these rows. From one of them, the others are
+reached by values whose rest is some rows earlier or later, and which change the rest of
+the residuals least.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.model import Model
-from curlfit.inference.problem import Problem
-from curlfit.inference.system import System, motions
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.model.system import System, motions
+from curlfit.inference.solve.least_squares import Solution
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 

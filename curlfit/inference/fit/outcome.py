@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.model import Model
-from curlfit.inference.problem import Problem
-from curlfit.inference.request import Request
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.model.request import Request
+from curlfit.inference.solve.least_squares import Solution
 from curlfit.noises import Noise
 
 

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import path_jacobians
-from curlfit.inference.model import Model
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.likelihood import path_jacobians
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.model.problem import Problem, build_problem
+from curlfit.inference.model.request import Request
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.whitening import Whitener
-from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import Problem, build_problem
-from curlfit.inference.request import Request
-from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.friction import Parameter
-from curlfit.inference.conditions import CONDITIONS
-from curlfit.inference.derived import Derived, with_quantiles
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import with_condition_off
-from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.information.derived import Derived, with_quantiles
+from curlfit.inference.model.conditions import CONDITIONS
+from curlfit.inference.model.likelihood import predict_channels
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
 from curlfit.sheet import HOUSE, LINES, TEE

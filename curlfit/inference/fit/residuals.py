@@ -8,9 +8,9 @@ import numpy as np
 
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.information.directions import inverted
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.problem import Problem
+from curlfit.inference.model.likelihood import SIGMA_FLOOR
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.solve.least_squares import Solution
 from curlfit.losses import MAD_TO_SIGMA, Loss, robust_sigma
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.channels import running_median

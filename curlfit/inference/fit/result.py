@@ -17,8 +17,6 @@ import numpy as np
 from curlfit.errors import InputError, require_kind
 from curlfit.findings import Finding
 from curlfit.friction import Law, Parameter, check_load, find_law
-from curlfit.inference.conditions import CONDITIONS
-from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.fit.entries import (
     AnyNoise,
     ChannelName,
@@ -39,12 +37,14 @@ from curlfit.inference.fit.estimates import (
     Systematics,
 )
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.model import Model
-from curlfit.inference.named_matrix import NamedMatrix
+from curlfit.inference.information.derived import Derived, FirstOrder, derive
+from curlfit.inference.information.named_matrix import NamedMatrix
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.conditions import CONDITIONS
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import START, ParameterSet
+from curlfit.inference.model.priors import parse_priors
 from curlfit.inference.noise.independence import Independence
-from curlfit.inference.parameters import START, ParameterSet
-from curlfit.inference.priors import parse_priors
-from curlfit.inference.verdict import Verdict
 from curlfit.loads import Load
 from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats

@@ -26,17 +26,17 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.problems import bounds_of, linearized
 from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.fit.throw_stack import ThrowStack, at
-from curlfit.inference.least_squares import Indices, Solution
-from curlfit.inference.likelihood import (
+from curlfit.inference.model.likelihood import (
     SIGMA_FLOOR,
     predict_many,
     whitened_residuals_of_many,
 )
+from curlfit.inference.model.problem import Problem
 from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
-from curlfit.inference.problem import Problem
+from curlfit.inference.solve.least_squares import Indices, Solution
 from curlfit.losses import place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS

@@ -25,8 +25,8 @@ import numpy as np
 from curlfit.inference.information.directions import r_factor, wide_errors
 from curlfit.inference.information.ridge_information import demanded_errors
 from curlfit.inference.information.thresholds import FAR_LESS, INTERVAL
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.priors import Penalty
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.solve.least_squares import Solution
 from curlfit.numerics.arrays import Floats
 
 HIGHEST = 10.83

@@ -15,20 +15,20 @@ from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.initial_values import (
+from curlfit.inference.model.likelihood import prepare_channels
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.solve.initial_values import (
     SmoothPath,
     default_guess,
     usual_where_astray,
 )
-from curlfit.inference.least_squares import (
+from curlfit.inference.solve.least_squares import (
     Indices,
     Solution,
     Tasks,
     minimize_many,
     prepare_minimize,
 )
-from curlfit.inference.likelihood import prepare_channels
-from curlfit.inference.problem import Problem
 from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked

@@ -13,7 +13,6 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.change_points import with_change
 from curlfit.inference.fit.covariance import (
@@ -42,26 +41,32 @@ from curlfit.inference.fit.entries import (
 from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, linearized, penalties
+from curlfit.inference.fit.products import products_of
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.derived import derive, gradient_of
 from curlfit.inference.information.information import Information, Marginal
+from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.thresholds import CONVERGED
-from curlfit.inference.initial_values import default_guess
-from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
-from curlfit.inference.likelihood import chi_squared_of_many, predict_many
-from curlfit.inference.model import Model
-from curlfit.inference.named_matrix import NamedMatrix
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.likelihood import chi_squared_of_many, predict_many
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import ParameterSet
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.model.problem import ROWS_OF_DATA, Problem
+from curlfit.inference.model.request import Request
 from curlfit.inference.noise.independence import Independence
 from curlfit.inference.noise.whitening import posterior_mean
-from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import ROWS_OF_DATA, Problem
-from curlfit.inference.products import products_of
-from curlfit.inference.request import Request
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.solve.initial_values import default_guess
+from curlfit.inference.solve.least_squares import (
+    MOST_STEPS,
+    Solution,
+    Tasks,
+    minimize_many,
+)
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked

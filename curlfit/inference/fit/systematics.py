@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from curlfit.inference.conditions import (
+from curlfit.inference.model.conditions import (
     ALL,
     CALIBRATION,
     SPIN,
@@ -23,12 +23,12 @@ from curlfit.inference.conditions import (
     check_systematics,
     is_calibration,
 )
-from curlfit.inference.likelihood import predict_many
-from curlfit.inference.model import Model
+from curlfit.inference.model.likelihood import predict_many
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import START
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.model.request import Request
 from curlfit.inference.noise.whitening import whitened
-from curlfit.inference.parameters import START
-from curlfit.inference.problem import Problem
-from curlfit.inference.request import Request
 from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked

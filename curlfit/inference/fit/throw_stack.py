@@ -13,19 +13,19 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of
 from curlfit.inference.fit.residuals import residual_sigma
-from curlfit.inference.initial_values import (
+from curlfit.inference.model.likelihood import SIGMA_FLOOR
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import ParameterSet
+from curlfit.inference.model.problem import ROWS_OF_DATA, Problem, build_problem
+from curlfit.inference.model.request import Request
+from curlfit.inference.noise.whitening import Whitener
+from curlfit.inference.solve.initial_values import (
     SmoothPath,
     default_guess,
     smooth,
     start_values_of_sides,
 )
-from curlfit.inference.least_squares import Indices, Solution, as_slice
-from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.model import Model
-from curlfit.inference.noise.whitening import Whitener
-from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
-from curlfit.inference.request import Request
+from curlfit.inference.solve.least_squares import Indices, Solution, as_slice
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.throw import CHANNELS, Throw

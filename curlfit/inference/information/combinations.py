@@ -16,7 +16,7 @@ from fractions import Fraction
 import numpy as np
 
 from curlfit.inference.information.intervals import WithInterval
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
 NO_PART = 1e-3

@@ -13,7 +13,7 @@ import numpy as np
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.identifiability import Identifiability
 from curlfit.inference.information.information import Information
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
 

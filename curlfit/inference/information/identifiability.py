@@ -19,7 +19,7 @@ from curlfit.inference.information.combinations import (
 from curlfit.inference.information.directions import inverted, r_factor, visible
 from curlfit.inference.information.information import Information
 from curlfit.inference.information.thresholds import WEAK_ERROR
-from curlfit.inference.verdict import Verdict
+from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
 

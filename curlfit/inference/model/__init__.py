@@ -1,0 +1,1 @@
+"""The model of a throw: parameters, priors, request, problem and residuals."""

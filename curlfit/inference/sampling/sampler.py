@@ -1,0 +1,343 @@
+"""The posterior by emcee: four ensembles, sampled until convergence, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from curlfit.errors import DataError, InputError, UnusableFitError
+from curlfit.inference.fit.quantities import quantities_of
+from curlfit.inference.fit.result import FitResult, require_fit
+from curlfit.inference.model.likelihood import log_posterior
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import ParameterSet
+from curlfit.inference.model.problem import Problem
+from curlfit.inference.sampling.chain import Chain, load_chain, require_same, subject_of
+from curlfit.inference.sampling.density import PosteriorDensity, lanes
+from curlfit.inference.sampling.emcee_alone import emcee
+from curlfit.inference.sampling.ridge import Proposal, posterior_proposal, proposed
+from curlfit.inference.sampling.summary import (
+    CONVERGED,
+    Diagnosis,
+    is_test_due,
+    steps_to_discard,
+    summarised,
+)
+from curlfit.numerics.arrays import Booleans, Floats
+
+Progress = Callable[[float, int, float], None]
+
+ENSEMBLES = 4
+_MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
+_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
+# of all proposals, where fewer than a fifth along the ridge are accepted
+_LEAST_ACCEPTANCE = 0.25
+_JITTER = 0.1  # relative standard deviation of the steps of differential evolution
+_EVERY = 2.0  # least time between two checkpoints, s
+_FEWEST = 4  # steps that can be judged
+# probability beyond what a chain has reached, above which it has not converged
+_UNREACHED = 0.01
+_SHARE = 50  # of the time, in which checkpoints are written once
+
+
+class SideBySide(emcee.moves.RedBlueMove):
+    """A move of emcee in several independent ensembles, evaluated in one call."""
+
+    def __init__(self, move: Any) -> None:
+        super().__init__(randomize_split=False)  # halves of each ensemble
+        self.move, self.setup = move, move.setup
+
+    def get_proposal(
+        self, s: Floats, c: list[Floats], random: Any
+    ) -> tuple[Floats, Floats]:
+        """Proposals for one half of each ensemble along lines through
+        its other half."""
+        halves = zip(np.split(s, ENSEMBLES), np.split(c[0], ENSEMBLES), strict=True)
+        each = [
+            self.move.get_proposal(moving, [other], random) for moving, other in halves
+        ]
+        coords, factors = zip(*each, strict=True)
+        return np.concatenate(coords), np.concatenate(factors)
+
+
+def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Start to compile what sampling of a problem needs."""
+    log_posterior.prepare(
+        model,
+        np.zeros((lanes(parameters.free), len(parameters))),
+        parameters.lower,
+        parameters.upper,
+        problem,
+        parameters.penalty,
+    )
+
+
+class Run:
+    """An unfinished chain. It may be interrupted at any point: completed
+    steps are kept.
+
+    Attributes
+    ----------
+    names, free : of the parameters, and which of them are sampled; those have the
+        bounds `lower` and `upper`. subject : what is sampled. proposal : from which
+        walkers begin.
+    """
+
+    names: tuple[str, ...]
+    free: Booleans
+    lower: Floats
+    upper: Floats
+    subject: dict[str, str]
+    proposal: Proposal
+
+    def __init__(self, seed: int, walkers: int) -> None:
+        self.seed, self._walkers = seed, walkers
+        self._steps: list[Any] = []
+        self._next_write = -np.inf
+        self.choose_moves(mostly_ridge=True)
+
+    def log_prob(self, free_values: Floats) -> Floats:
+        """Log-posterior of walkers, shape (walkers,)."""
+        raise NotImplementedError
+
+    def whole(self, free_values: Floats) -> Floats:
+        """The values of all parameters."""
+        return free_values
+
+    def choose_moves(self, *, mostly_ridge: bool) -> None:
+        """Rely on proposals along the ridge, or on the ensemble moves."""
+        self.mostly_ridge = mostly_ridge
+        ridge = emcee.moves.MHMove(partial(proposed, self.proposal))
+        stretch = SideBySide(emcee.moves.StretchMove())
+        differential = SideBySide(emcee.moves.DEMove(sigma=_JITTER))
+        shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
+        moves = list(zip((ridge, stretch, differential), shares, strict=True))
+        self._sampler = emcee.EnsembleSampler(
+            self._walkers,
+            int(self.free.sum()),
+            self.log_prob,
+            vectorize=True,
+            moves=moves,
+        )
+        # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
+        self._sampler.log_prob_fn = self.log_prob
+
+    @property
+    def steps(self) -> int:
+        """Number of steps done."""
+        return len(self._steps)
+
+    def resume(self, file: Path) -> None:
+        """Resume where a stored chain ended. Raises `DataError` if that is
+        not possible."""
+        chain = load_chain(file)
+        require_same(chain.subject, self.subject, file)
+        if chain.random_state is None or not len(chain.values):
+            raise DataError(
+                "cannot be resumed: the sampler's state is not in it", file=file
+            )
+        self.choose_moves(mostly_ridge=chain.mostly_ridge)
+        self._steps = list(
+            map(emcee.State, chain.values[..., self.free], chain.log_posterior)
+        )
+        self._steps[-1].random_state = chain.random_state
+
+    def begin(self) -> None:
+        """Find initial positions of the walkers, unless a chain is resumed."""
+        if self._steps:
+            self._last = self._steps[-1]
+            return
+        random = np.random.RandomState(self.seed)  # emcee accepts no other
+        coords = self._first_walkers(random)
+        log_prob, state = self.log_prob(coords), random.get_state()
+        self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
+
+    def _first_walkers(self, random: Any) -> Floats:
+        """Initial positions drawn from the proposal, with finite posterior."""
+        lower, upper = self.lower, self.upper
+        found: list[Floats] = []
+        for _ in range(50):
+            coords = self.proposal.draw(self._walkers, random)
+            # Near a bound a proposal falls outside half the time; reflect it back.
+            folded = np.where(coords < lower, 2 * lower - coords, coords)
+            folded = np.where(folded > upper, 2 * upper - folded, folded)
+            found.extend(folded[np.isfinite(self.log_prob(folded))])
+            if len(found) >= self._walkers:
+                return np.array(found[: self._walkers])
+        raise UnusableFitError("no point of finite posterior was found near the fit")
+
+    def start_over(self) -> None:
+        """Discard the steps so far as burn-in, and rely on the ensemble moves."""
+        self._steps = []
+        self.choose_moves(mostly_ridge=False)
+
+    def step(self) -> None:
+        """Do one step of all walkers."""
+        state = self._sampler.run_mcmc(
+            self._last, 1, store=False, skip_initial_state_check=True
+        )
+        self._steps.append(state)  # first, so that an interrupt leaves a valid chain
+        self._last.random_state = None  # only the last is needed
+        self._last = state
+
+    def chain(self) -> Chain:
+        """The chain of the steps so far."""
+        values = self.whole(np.stack([state.coords for state in self._steps]))
+        return Chain(
+            names=self.names,
+            values=values,
+            log_posterior=np.stack([state.log_prob for state in self._steps]),
+            discarded=steps_to_discard(len(values)),
+            ensembles=ENSEMBLES,
+            seed=self.seed,
+            subject=self.subject,
+            random_state=self._steps[-1].random_state,
+            mostly_ridge=self.mostly_ridge,
+        )
+
+    def write_if_due(self, file: Path | None) -> None:
+        """Write a checkpoint if one is due."""
+        now = monotonic()
+        if file is None or now < self._next_write:
+            return
+        self.chain().save(file)
+        after = monotonic()
+        self._next_write = after + max(_EVERY, _SHARE * (after - now))
+
+    def until(
+        self,
+        effective: float,
+        most_steps: int,
+        progress: Progress | None = None,
+        file: Path | None = None,
+    ) -> tuple[str, Diagnosis | None]:
+        """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the
+        diagnosis of the chain, if it is known."""
+        try:
+            self.begin()
+            while True:
+                if is_test_due(self.steps):
+                    chain = self.chain()
+                    if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
+                        self.start_over()
+                        continue
+                    diagnosis = Diagnosis(
+                        chain.values[:, :, self.free], chain.ensembles
+                    )
+                    if progress is not None:
+                        progress(
+                            diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
+                        )
+                    kept = chain.flat[:, self.free]
+                    reaches_ends = self.proposal.unreached(kept) < _UNREACHED
+                    if diagnosis.good(effective) and reaches_ends:
+                        return CONVERGED, diagnosis
+                    if self.steps >= most_steps:
+                        ended = f"not converged after {self.steps} steps"
+                        if not reaches_ends:
+                            ended += ", without the ends of the values that fit"
+                        return ended, diagnosis
+                self.step()
+                self.write_if_due(file)
+        except KeyboardInterrupt:
+            if self.steps < _FEWEST:
+                raise
+            return "stopped by the user", None
+
+
+class _OfFit(Run):
+    """A chain about the optimum of a fit."""
+
+    def __init__(self, fit: FitResult, seed: int) -> None:
+        self._density = PosteriorDensity(fit)
+        self.names, self.free = self._density.names, self._density.free
+        self.lower, self.upper = self._density.lower, self._density.upper
+        self.subject = subject_of(fit, seed)
+        self.proposal = posterior_proposal(fit)
+        super().__init__(seed, 2 * self._density.batch)
+
+    def whole(self, free_values: Floats) -> Floats:
+        """The same with those that are held."""
+        return self._density.whole(free_values)
+
+    def log_prob(self, free_values: Floats) -> Floats:
+        """That of the path's data."""
+        return self._density.log(free_values)
+
+
+def sample(
+    fit: FitResult,
+    *,
+    seed: int = 0,
+    effective: float = 4000.0,
+    most_steps: int = 2_000,
+    progress: Progress | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+    resume: bool = False,
+) -> tuple[FitResult, Chain]:
+    """Sample the posterior about a fit until convergence.
+
+    A parameter without a prior in the fit has a flat one within its bounds. The noise
+    has the fit's sigmas, is independent or correlated by the fit's noise model, and is
+    Gaussian or has the density of the fit's loss. Ctrl-C ends the run and keeps the
+    steps so far.
+
+    Parameters
+    ----------
+    fit : a fit, fresh or loaded.
+    seed : of the random numbers; the same seed gives the same chain.
+    effective : target for the effective sample size of every parameter.
+    most_steps : number of steps at which to stop if that is not reached.
+    progress : called at intervals with the effective sample size so far (smallest over
+        parameters), the steps so far, and R-hat (largest).
+    checkpoint : a `chain.h5` to which the chain so far is written atomically: after the
+        first step, then every two seconds or less often where writing takes long, and
+        when the run ends.
+    resume : continue where the chain in `checkpoint` ended, if there is one. The
+        chain is then that of a single run, bit for bit on the same machine with the
+        same packages.
+
+    Returns
+    -------
+    the fit with its `posterior` filled in, and the chain.
+
+    Raises
+    ------
+    UnusableFitError : no walker found a point of finite posterior.
+    InputError : the chain to be resumed is of other data, law, load, stone, bounds,
+        seed or version, or the checkpoint cannot be written.
+
+    Examples
+    --------
+    >>> sampled, chain = curlfit.sample(fit, effective=400)
+    >>> sampled.posterior.converged
+    True
+    """
+    require_fit(fit)
+    run = _OfFit(fit, seed)
+    file = None if checkpoint is None else Path(checkpoint)
+    if resume:
+        if file is None:
+            raise InputError("resume: expected a checkpoint to resume from")
+        if file.exists():
+            run.resume(file)
+    ended, diagnosis = run.until(effective, most_steps, progress, file)
+    chain = run.chain()
+    if file is not None:
+        chain.save(file)
+    sampled = summarised(fit, chain, ended, effective, diagnosis)
+    sampled = replace(sampled, quantities=quantities_of(sampled, chain))
+    sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
+    products = tuple(
+        replace(sampled.derive(item.expression, chain), meaning=item.meaning)
+        for item in fit.products
+    )
+    sampled = replace(sampled, products=products)
+    return sampled, replace(chain, fit=sampled)

@@ -1,0 +1,1 @@
+"""Initial values, and the least-squares optimum of one throw, many or all together."""

@@ -1,0 +1,316 @@
+"""The optimum of one throw, of many, or of several with common parameters,
+within bounds.
+
+One compiled program of optimistix serves all. It solves a batch of problems side by
+side, which costs far less than one after another. The solves of a batch end together;
+those that take many steps are therefore interrupted and grouped anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import partial
+from operator import itemgetter
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from curlfit.inference.model.likelihood import weighted_residuals
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import ParameterSet
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.model.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrow_matrix import Blocks
+from curlfit.numerics.batches import BATCH, in_batches, stacked
+from curlfit.numerics.compiled import compiled
+
+Indices = NDArray[np.intp]
+Stacks = tuple[Any, Any, Any, Penalty, Problem]
+"""Initial values, bounds, priors and problems, along the first axis."""
+
+MOST_STEPS = 200
+_FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
+
+
+class Control(NamedTuple):
+    """How a solve begins, and when it has converged."""
+
+    damping: float
+    """of the first step, relative to the squared columns: the larger, the
+    more cautious"""
+    extrapolated: float
+    """share of chi squared that the last step, which is not evaluated, may gain"""
+    remaining: float
+    """share of chi squared that the step after it might gain"""
+    most: int = MOST_STEPS
+    """evaluations"""
+
+
+PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
+_QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
+ALONG_RIDGE = Control(1e-4, 1e-5, 1e-5)
+"""For points of a ridge: of 1,000 values, within 0.01 of chi squared."""
+
+
+class Solution(NamedTuple):
+    """An optimum; or many, along the first axis of each field.
+
+    Residuals that are not finite mean that there was no path even at the
+    initial values.
+    """
+
+    values: Any
+    residual: Any
+    """weighted, shape (channels, n)"""
+    jacobian: Any
+    """of the weighted residual by parameter, shape (channels, n, parameters)"""
+    steps: Any
+    success: Any
+    penalty: Any = 0.0
+    """the priors' part of the objective"""
+
+    @property
+    def chi_squared(self) -> Any:
+        """Sum of the squared residuals."""
+        return (self.residual**2).sum((-1, -2))
+
+    @property
+    def objective(self) -> Any:
+        """What the optimum minimizes: chi squared of the data and of the priors."""
+        return self.chi_squared + self.penalty
+
+
+class Tasks(NamedTuple):
+    """Problems of one shape, their initial values and bounds, along the first axis.
+
+    A problem is a throw, or several throws along its first axis that have
+    parameters in common.
+    """
+
+    problems: Problem
+    start: Floats
+    """shape (problems, parameters), as the next two"""
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    """shape (parameters,)"""
+    penalty: Penalty
+    """each field of the shape of `start`"""
+    common: Booleans | None = None
+    """which parameters of a throw the others have in common with it; None
+    with one throw"""
+
+    @classmethod
+    def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
+        """Single throws: the parameters, the problem and the initial values of each."""
+        tasks = [
+            cls(
+                problem,
+                start,
+                parameters.lower,
+                parameters.upper,
+                parameters.typical,
+                parameters.penalty,
+            )
+            for parameters, problem, start in throws
+        ]
+        return stacked(tasks)._replace(typical=tasks[0].typical)
+
+    def at(self, which: Indices) -> Tasks:
+        """Some of the problems."""
+        problems, start, lower, upper, penalty = jax.tree.map(
+            itemgetter(as_slice(which)),
+            (self.problems, self.start, self.lower, self.upper, self.penalty),
+        )
+        return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
+
+    @property
+    def _loss(self) -> int | None:
+        """Place of the loss of all problems; None if they differ, as those do of which
+        some are still fitted without it."""
+        place, *others = np.unique(self.problems.loss).tolist()
+        return None if others else place
+
+    def arguments(self, model: Model, control: Control) -> tuple[Any, ...]:
+        """Of the programs that solve them."""
+        penalty = self.penalty
+        typical = self.typical
+        common = self.common
+        if model.family is not None:
+            pad = partial(model.family.padded, model.law)
+            penalty = jax.tree.map(pad, penalty)
+            typical = pad(typical, 1.0)
+            if common is not None:
+                common = pad(common.astype(float), 1.0) > 0
+        blocks = Blocks.of(np.ones(len(typical), bool))
+        if common is not None:
+            blocks = Blocks.of(common, self.problems.observed.shape[1])
+        stacks = (
+            model.vector(self.start),
+            model.vector(self.lower),
+            model.vector(self.upper),
+            penalty,
+            self.problems,
+        )
+        return model.of_program, self._loss, stacks, typical, blocks, control
+
+
+def _solve(
+    model: Model,
+    loss: int | None,
+    stacks: Stacks,
+    typical: Array,
+    blocks: Blocks,
+    control: Control,
+) -> Solution:
+    # Imported only to compile the program: it takes half as long to load as JAX.
+    import optimistix as optx
+
+    from curlfit.numerics import bounded_solver as bounded
+
+    def residual_of_throw(values: Array, problem: Problem) -> Array:
+        if loss is not None:
+            problem = problem._replace(loss=loss)
+        return weighted_residuals(model, values, problem)
+
+    def residual(values: Array, problem: Problem) -> Array:
+        if problem.observed.ndim > 2:  # throws with parameters in common
+            return jax.vmap(residual_of_throw)(values[blocks.index], problem)
+        return residual_of_throw(values, problem)
+
+    def solved(
+        start: Array, lower: Array, upper: Array, penalty: Penalty, problem: Problem
+    ) -> Solution:
+        solver = bounded.BoundedLeastSquares(
+            descent=bounded.BoundedDescent(lower, upper, typical),
+            search=bounded.GainRatio(control.damping),
+            control=control,
+            blocks=blocks,
+            penalty=penalty,
+        )
+        ended: Any = optx.least_squares(
+            residual, solver, start, problem, max_steps=None, throw=False
+        )
+        state = ended.state
+        return Solution(
+            values=ended.value,
+            residual=state.residual,
+            jacobian=state.jacobian,
+            steps=state.evaluations,
+            success=state.success,
+            penalty=penalty.chi_squared(ended.value),
+        )
+
+    if len(stacks[0]) > 1:
+        return jax.vmap(solved)(*stacks)
+    # Under vmap, both branches of each condition would be computed.
+    alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
+    stack_of_one: Solution = jax.tree.map(lambda leaf: leaf[None], alone)
+    return stack_of_one
+
+
+_solve_once = compiled("model", "loss")(_solve)
+_solve_often = compiled("model", "loss", optimize=True)(_solve)
+
+
+def solve(
+    model: Model,
+    tasks: Tasks,
+    how: Control = PRECISE,
+    batch: int = 1,
+    *,
+    once: bool = True,
+) -> Solution:
+    """The optima of problems, a batch of them side by side.
+
+    Parameters
+    ----------
+    once : whether a program compiled quickly is better than a fast one.
+    """
+    program = _solve_once if once else _solve_often
+    law, loss, stacks, *common = tasks.arguments(model, how)
+    solutions: Solution = in_batches(
+        lambda *part: program(law, loss, part, *common), stacks, batch
+    )
+    if model.family is not None:
+        size = tasks.start.shape[-1]
+        of_throw = size if tasks.common is None else len(tasks.common)
+        solutions = solutions._replace(
+            values=solutions.values[:, model.columns(size)],
+            jacobian=solutions.jacobian[..., model.columns(of_throw)],
+        )
+    return solutions
+
+
+def prepare_minimize(
+    model: Model, parameters: ParameterSet, problem: Problem, batch: int = 1
+) -> None:
+    """Begin to compile what `minimize_many` needs for problems like this one,
+    alone or few."""
+    control = PRECISE if batch == 1 else _QUICK
+    tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
+    _solve_once.prepare(*tasks.arguments(model, control))
+
+
+def minimize_many(
+    model: Model,
+    tasks: Tasks,
+    batch: int = BATCH,
+    most: int = MOST_STEPS,
+    how: Control | None = None,
+) -> Solution:
+    """The optima of many problems.
+
+    Parameters
+    ----------
+    batch : `BATCH`, `FEW`, or 1 to solve one after another, more precisely.
+    most : steps after which a solve ends.
+    how : how a solve begins and ends, by default as the number of problems demands.
+    """
+    count = len(tasks.start)
+    control = (how or PRECISE)._replace(most=most)
+    if batch > 1:
+        control = (how or _QUICK)._replace(most=min(_FIRST_STEPS, most))
+    tasks = tasks._replace(start=np.array(tasks.start))
+    optima: Any = None
+    due = np.arange(count)
+    while len(due):
+        is_interrupted = np.zeros(count, bool)
+        for part in _of_one_loss(due, tasks.problems.loss, batch):
+            reached = solve(model, tasks.at(part), control, batch, once=batch < BATCH)
+            if optima is None:
+                optima = jax.tree.map(
+                    lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), reached
+                )
+            steps = optima.steps[part] + reached.steps
+            is_interrupted[part] = (
+                ~reached.success & (reached.steps >= control.most) & (steps < most)
+            )
+            for of_all, of_part in zip(
+                optima, reached._replace(steps=steps), strict=True
+            ):
+                of_all[as_slice(part)] = of_part
+            tasks.start[part] = reached.values
+        due = np.flatnonzero(is_interrupted)
+        control = control._replace(most=2 * control.most)
+    solution: Solution = optima
+    return solution
+
+
+def _of_one_loss(due: Indices, losses: Any, batch: int) -> Iterator[Indices]:
+    """The problems that are due, as many at a time as are solved side by side, all of
+    them with one loss: one program then serves them."""
+    for loss in np.unique(losses[due]):
+        alike = due[losses[due] == loss]
+        yield from np.split(alike, range(batch, len(alike), batch))
+
+
+def as_slice(indices: Indices) -> Indices | slice:
+    """Indices; as a slice where they are contiguous, which avoids a copy."""
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(indices[0], indices[-1] + 1)
+    return indices

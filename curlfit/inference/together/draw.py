@@ -1,0 +1,126 @@
+"""The draw to the tee: what coefficients mean to a curler."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.parameters import START
+from curlfit.inference.model.problem import LEVEL_AND_STILL
+from curlfit.inference.model.system import motions
+from curlfit.numerics.arrays import Floats
+from curlfit.sheet import HOG_TO_HOG, LINES, TEE
+from curlfit.stone import GRAVITY, Stone
+
+_START = LINES["hog"]
+_LENGTH = TEE - _START
+_USUAL = 2.2  # m/s, from which the speed is found
+_ROUNDS, _FEW_ROUNDS = 12, 5  # from a usual throw, from one on the same ice
+TIMES = np.linspace(0.0, 37.5, 301)
+"""s, within which stones come to rest."""
+_DURATION = 25.0  # s, from which the spin is found
+_STRAIGHT = 1e-6  # rad, below which a stone does not turn
+
+DRAW = {"friction": "1", "curl": "m", "hog_to_hog": "s"}
+"""Quantities of a draw to the tee, with their units: mean friction from the near hog
+line to rest, curl at rest to the side to which the front turns, and the time from hog
+line to hog line."""
+
+
+class Draw(NamedTuple):
+    """A stone that is released at the near hog line along the centre line."""
+
+    model: Model
+    stone: Stone
+
+    def angle(self, coefficients: Floats, spin: Floats) -> Floats:
+        """Angles in rad by which stones of some spin turn on their way to rest at the
+        tee, for vectors of the coefficients and conditions."""
+        return self._to_tee(
+            coefficients, np.full(len(spin), _USUAL), spin, None, _ROUNDS
+        )[2]
+
+    def spin(self, coefficients: Floats, angle: float) -> Floats:
+        """Spins in rad/s of stones that turn by an angle on their way to
+        rest at the tee."""
+        return self._turning(coefficients, angle)[1]
+
+    def quantities(self, coefficients: Floats, angle: float) -> Floats:
+        """Those of `DRAW`, shape (vectors, 3), where it turns by an angle and
+        rests at the tee."""
+        speed, _, _, x, y = self._turning(coefficients, angle)
+        friction = speed**2 / (2 * GRAVITY * _LENGTH)
+        return np.column_stack([friction, -np.sign(angle) * x[:, -1], _hog_to_hog(y)])
+
+    def speeds(self, coefficients: Floats, spin: Any, hog_to_hog: Any) -> Floats:
+        """Speeds in m/s at the near hog line of stones that take so many s to the far
+        one; spins and times are one for each or one for all.
+
+        Raises
+        ------
+        InputError : most do not get there.
+        """
+        speed = HOG_TO_HOG / hog_to_hog + _USUAL / 4 + np.zeros(len(coefficients))
+        for _ in range(_FEW_ROUNDS):
+            _, y, _ = self._paths(coefficients, speed, spin)
+            there = y[:, -1] > LINES["far-hog"]
+            speed *= np.where(there, np.sqrt(_hog_to_hog(y) / hog_to_hog), 1.1)
+        if there.mean() < 0.5:
+            time = float(np.mean(hog_to_hog))
+            raise InputError(f"hog to hog {time:g} s: it stops before the far hog line")
+        return speed
+
+    def hog_to_hog(self, coefficients: Floats, spin: Any, speed: Floats) -> Floats:
+        """Times in s between the hog lines of stones of some speeds at the near one."""
+        return _hog_to_hog(self._paths(coefficients, speed, spin)[1])
+
+    def _turning(self, coefficients: Floats, angle: float) -> tuple[Floats, ...]:
+        """Those of `_to_tee` where it turns by an angle, from what the first
+        vector gives."""
+        speed, spin = np.array([_USUAL]), np.array([angle / _DURATION])
+        speed, spin, *_ = self._to_tee(coefficients[:1], speed, spin, angle, _ROUNDS)
+        speed, spin = (np.repeat(one, len(coefficients)) for one in (speed, spin))
+        return self._to_tee(coefficients, speed, spin, angle, _FEW_ROUNDS)
+
+    def _to_tee(
+        self,
+        coefficients: Floats,
+        speed: Floats,
+        spin: Floats,
+        angle: float | None,
+        rounds: int,
+    ) -> tuple[Floats, ...]:
+        """Speed, spin, angle and the path where it rests at the tee, and turns by an
+        angle if one is given."""
+        # distance and angle are nearly v^2 and in proportion to the spin
+        for _ in range(rounds):
+            _, y, phi = self._paths(coefficients, speed, spin)
+            if angle is not None and abs(angle) > _STRAIGHT:
+                spin = spin * angle / phi[:, -1]
+            speed = speed * np.sqrt(_LENGTH / (y[:, -1] - _START))
+        x, y, phi = self._paths(coefficients, speed, spin)
+        return speed, spin, phi[:, -1], x, y
+
+    def _paths(self, coefficients: Floats, speed: Floats, spin: Any) -> Floats:
+        """x, y and the angle of throws along the centre line."""
+        start = {
+            "x0": 0.0,
+            "y0": _START,
+            "heading": 0.0,
+            "phi0": 0.0,
+            "v0": speed,
+            "omega0": spin,
+        }
+        own = [np.broadcast_to(start[item.name], speed.shape) for item in START]
+        values = np.column_stack([coefficients, *own])
+        state, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
+        found: Floats = state[:, :3].swapaxes(0, 1)
+        return found
+
+
+def _hog_to_hog(y: Floats) -> Floats:
+    """Times in s at which paths from the near hog line cross the far one."""
+    return np.array([np.interp(LINES["far-hog"], own, TIMES) for own in y])

@@ -1,0 +1,406 @@
+"""Joint fit of several throws: coefficients in common or about a common mean, own
+initial states and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import Option, UnusableFitError
+from curlfit.friction import Law, no_motion_because
+from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.problems import bounds_of, penalties
+from curlfit.inference.fit.quantities import quantities_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.revisions import revisions
+from curlfit.inference.fit.ridge import Ridge
+from curlfit.inference.fit.summary import summarize_many
+from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.fit.throw_stack import ThrowStack, at
+from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.problem import problem_shape
+from curlfit.inference.model.request import Request
+from curlfit.inference.solve.least_squares import Indices, Solution, Tasks
+from curlfit.inference.together.advice import with_throws
+from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
+from curlfit.inference.together.draw import Draw
+from curlfit.inference.together.effects import Covariates
+from curlfit.inference.together.evening import same_in_all
+from curlfit.inference.together.population import Together, vary
+from curlfit.inference.together.posterior import drawn_for_others, sampled
+from curlfit.inference.together.request import VARYING, JointRequest
+from curlfit.inference.together.result import DeterminedTogether, JointResult, Variation
+from curlfit.inference.together.ridge import JointRidge, follow_jointly
+from curlfit.inference.together.solver import Progress, minimize_jointly
+from curlfit.inference.together.summary import about_mean
+from curlfit.inference.together.variation import (
+    Varying,
+    variations_of,
+    weights_of_known,
+)
+from curlfit.numerics.arrays import Booleans
+from curlfit.numerics.batches import side_by_side, unstacked
+from curlfit.settings.choices import Fitting, takes
+from curlfit.throws.throw import Throw
+
+_MORE_SEARCHES = 4
+"""After one that ended at its limit of 200 steps: 10 tracks without an angle took
+up to 133."""
+
+
+@takes(Fitting, "law", "load")
+def fit_together(
+    throws: Sequence[Throw],
+    law: str | type[Law] | None = None,
+    *,
+    share: str | Sequence[str] | None = None,
+    by: str | Sequence[str] = (),
+    trend: str | Sequence[str] = (),
+    trend_by: str | Sequence[str] = (),
+    load: str | None = None,
+    seed: int | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> JointResult:
+    """Fit one law to several throws that share some or all of its coefficients.
+
+    The coefficients of four throws or more vary about their mean: what the throws
+    determine has a standard deviation between throws, estimated by restricted maximum
+    likelihood, and each throw has its own value. The mean may differ between groups of
+    throws and drift.
+
+    The choices hold for all throws; where one is not given, each throw's own applies.
+    The prior of a shared parameter counts once.
+
+    Parameters
+    ----------
+    throws : at least two; each has its own initial state, noise and, if its file
+        says so, stone.
+    law, load : as in `fit`; the defaults of the throws must agree.
+    share : "all" coefficients, or the names of those that are equal in all throws; each
+        throw has its own values of the others. Conditions, such as the slope of the
+        ice, are always equal.
+    by : labels of the throws, such as "sheet", by which they form groups whose
+        means differ.
+    trend : labels, such as "start", along whose numbers or clock times the means change
+        in proportion.
+    trend_by : labels of `by`, such as "sheet", whose groups change each in its own
+        proportion; otherwise all change alike, and a warning says if they do not.
+    seed : of a sample of the posterior of the mean, its effects and the spreads by
+        emcee, for their quantiles; none is taken if not given.
+    progress : called with the number of steps done and chi squared.
+    {choices}
+
+    Raises
+    ------
+    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient;
+        labels that a throw lacks, or that give no groups or numbers.
+    UnusableFitError : a throw has no finite path from the initial values found
+        from its data.
+
+    Examples
+    --------
+    >>> joint = curlfit.fit_together([throw, throw])
+    >>> joint.converged, joint.share
+    (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
+    """
+    choices |= {"law": law, "load": load}
+    request = JointRequest.of(
+        throws, choices, share=share, by=by, trend=trend, trend_by=trend_by
+    )
+    return fit_joint_request(request, seed=seed, progress=progress)
+
+
+def fit_joint_request(
+    request: JointRequest,
+    *,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> JointResult:
+    """The joint fit that is requested; the arguments as in `fit_together`.
+
+    Raises
+    ------
+    UnusableFitError : a throw has no finite path from the initial values found
+        from its data.
+    """
+    first = request.throws[0]
+    together = solved_together(
+        request.throws, request.shared, request.covariates, progress
+    )
+    equal = _equal(together, first.systematics)
+    result = equal.result
+    if equal.varying.weights and request.may_vary:
+        result = _varying(together, equal, seed)
+    if not result.converged:  # nothing is told of what was not found
+        result = replace(
+            result,
+            groups=(),
+            differences=(),
+            trend=(),
+            slopes=(),
+            slope_differences=(),
+        )
+    each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
+    odd_rows = dict.fromkeys(
+        odd for of_throw in request.throws for odd in of_throw.throw.odd_rows
+    )
+    result = replace(result, throws=each, odd_rows=tuple(odd_rows))
+    return result.with_derived(first.derive)
+
+
+def solved_together(
+    requests: Sequence[Request],
+    shared: Sequence[str],
+    covariates: Covariates,
+    progress: Progress | None,
+) -> Together:
+    """The throws at their optimum with equal values of the shared coefficients.
+
+    Raises
+    ------
+    UnusableFitError : as in `fit_together`.
+    """
+    first = requests[0]
+    parameters = first.parameters
+    common = np.isin(parameters.names, (*shared, *parameters.conditions))
+    shapes = [problem_shape(request.throw) for request in requests]
+    shape = (
+        max(channels for channels, _ in shapes),
+        max(rows for _, rows in shapes),
+    )
+    model = Model.of(first)
+    rounds = ThrowStack(model, requests, shape=shape)
+    _, sides = rounds.starts()
+    starts = [
+        request.with_given_start(values)
+        for request, values in zip(requests, sides[0], strict=True)
+    ]
+    tasks = Tasks(
+        rounds.problems,
+        np.stack(starts),
+        *bounds_of(requests, common),
+        parameters.typical,
+        penalties(requests, first=True),
+    )
+    solution = _ended(model, tasks, common, progress)
+    _require_path(solution, first)
+
+    def optima(throws: Indices) -> Solution:
+        some: Solution = at(solution, throws)
+        return some
+
+    for _ in revisions(rounds, np.arange(len(requests)), optima):
+        tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
+        solution = _ended(model, tasks, common, progress)
+        _require_path(solution, first)
+    for failure in rounds.failures.values():
+        raise failure
+    return Together(rounds, tasks, solution, common, covariates)
+
+
+def _require_path(solution: Solution, request: Request) -> None:
+    """Raise `UnusableFitError` where throws have no path under a law."""
+    if not np.isfinite(solution.chi_squared).all():
+        raise UnusableFitError(
+            f"law {request.law.name} with {request.load} load gives no finite path "
+            "for these throws" + no_motion_because(request.load)
+        )
+
+
+def _ended(
+    model: Model, tasks: Tasks, common: Booleans, progress: Progress | None
+) -> Solution:
+    """The optimum of throws together; a search at its limit of steps goes on, as along
+    a ridge it may have to."""
+    solution = minimize_jointly(model, tasks, common, progress)
+    for _ in range(_MORE_SEARCHES):
+        if np.all(solution.success) or not np.isfinite(solution.chi_squared).all():
+            break
+        steps = solution.steps
+        tasks = tasks._replace(start=solution.values)
+        solution = minimize_jointly(model, tasks, common, progress)
+        solution = solution._replace(steps=solution.steps + steps)
+    return solution
+
+
+def _summarized(
+    together: Together, solution: Solution, **known: Any
+) -> list[FitResult]:
+    records = [
+        together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))
+    ]
+    return summarize_many(records, side_by_side(len(records)), **known)
+
+
+class _Equal(NamedTuple):
+    """Throws with equal shared coefficients."""
+
+    result: JointResult
+    varying: Varying
+    ridge: JointRidge | None
+    """None where chi squared is a quadratic"""
+
+
+def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
+    """The result where the shared coefficients are equal in all throws, with the
+    systematic errors due to the `given` conditions."""
+    rounds, tasks, solution, common, covariates = together
+    widths = widths_of(rounds.model, given, rounds.requests, jointly=True)
+    joint_ridges: list[JointRidge] = []
+
+    def ridges(stderr: dict[int, float]) -> list[Ridge]:
+        joint_ridges.append(follow_jointly(together, solution, stderr))
+        return joint_ridges[-1].of_throws
+
+    first_request = rounds.requests[0]
+    same_names = same_in_all(
+        [request.throw for request in rounds.requests], rounds.model.law
+    )
+    same = np.isin(first_request.parameters.names, [*same_names])
+    # With what is usual as a prior, an evening of draws is near a quadratic.
+    evening = same.any() and len(rounds.requests) >= VARYING
+    throws = _summarized(
+        together,
+        solution,
+        widths=widths,
+        common=common,
+        ridges=None if evening else ridges,
+    )
+    ridge = joint_ridges[-1] if joint_ridges else None
+    first, parameters = throws[0], first_request.parameters
+    shared = tuple(parameters.names_where(common))
+    coefficients = {name: first.parameters[name] for name in shared}
+    combinations = tuple(
+        item for item in first.combinations if set(item.weights) <= set(shared)
+    )
+    marginal = together.information(solution).marginal(common)
+    verdicts = {name: one.verdict for name, one in coefficients.items()}
+    if tasks.penalty.informative:
+        by_data = Covariance.of(marginal.information.together().held(same[common]))
+        departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
+        not_varying = {*same_names, *first_request.parameters.fixed}
+        verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
+        by_expression = {
+            item.expression: item
+            for item in (*departures.kept(by_data.combinations), *combinations)
+        }
+        combinations = tuple(by_expression.values())
+    known_weights = weights_of_known(verdicts, combinations, shared)
+    weights = {
+        name: own for name, own in known_weights.items() if not own[same[common]].any()
+    }
+    of_all = first_request.parameters.values_of(solution.values[0])
+    same_values = {name: of_all[name] for name in same_names}
+    alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
+    of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
+    jointly = marginal.information.slopes * of_each
+    variations = variations_of(alone, jointly, weights, covariates.values)
+    among = {name: item for name, item in variations.items() if item.significant}
+    open_ = np.array(
+        [np.isin(parameters.names, one.covariance.names) for one in throws]
+    )
+    named = {*shared, *(item.expression for item in combinations)}
+    shifts = {
+        name: by for name, by in first.systematics.shifts.items() if name in named
+    }
+    result = JointResult(
+        law=first.law,
+        load=first.load,
+        share=shared,
+        converged=False,
+        status="",
+        warnings=(),
+        coefficients={
+            name: _among(item, among, name) for name, item in coefficients.items()
+        },
+        combinations=tuple(
+            _among(item, among, item.expression) for item in combinations
+        ),
+        identifiability=DeterminedTogether(
+            rank=int(first.identifiability.rank + marginal.rank[1:].sum()),
+            parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
+        ),
+        variation=tuple(variations.values()),
+        systematics=replace(first.systematics, shifts=shifts),
+    )
+    of_law = np.isin(shared, [item.name for item in rounds.model.law.coefficients()])
+    may_vary = {name: own for name, own in weights.items() if not own[~of_law].any()}
+    varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
+    return _Equal(with_throws(result, throws, solution), varying, ridge)
+
+
+def _verdicts_by_data(
+    by_data: Covariance,
+    departures: Departures,
+    coefficients: Mapping[str, Estimate],
+    not_varying: Collection[str],
+) -> dict[str, Verdict]:
+    """Verdicts of the coefficients that may vary without the priors, since what varies
+    is what the throws themselves determine."""
+    verdicts = {}
+    for row, (name, estimate) in enumerate(coefficients.items()):
+        if name not in not_varying:
+            stderr, verdict, _ = by_data.classified(row)
+            _, verdicts[name], _ = departures.judged(
+                name, stderr, verdict, estimate.typical
+            )
+    return verdicts
+
+
+def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
+    """A shared estimate; where throws differ in it, its error is that of the
+    mean over them."""
+    if name not in differing:
+        return item
+    throws = sum(one is not None for one in differing[name].each)
+    return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
+
+
+def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult:
+    """The result where what the throws determine varies about its mean, which is as
+    free along the ridge as equal coefficients are."""
+    weights, guess = equal.varying
+    ridge = equal.ridge
+    try:
+        found, solution, others = vary(together, weights, guess)
+    except np.linalg.LinAlgError:
+        raise UnusableFitError(
+            "how these throws vary cannot be estimated: their coefficients become "
+            f"unbounded; fix some of them, or fit with {Option('share', 'all')}"
+        ) from None
+    ridges = None if ridge is None else lambda _: ridge.of_throws
+    ended = bool(np.all(solution.success))
+    draws = of_others = None
+    if ended:
+        draws = sampled(found.fit, guess, seed)
+        # tracks know their coefficients better than these vary: Student's t is exact
+        if not any(one.throw.has_path for one in together.rounds.requests):
+            of_others = drawn_for_others(found.fit, guess, draws)
+    throws = [
+        replace(one, systematics=before.systematics)
+        for one, before in zip(
+            _summarized(together, solution, others=others, ridges=ridges),
+            equal.result.throws,
+            strict=True,
+        )
+    ]
+    spins = np.array([one.parameters["omega0"].value for one in throws])
+    at_spins = solution.values[:, together.common], spins
+    result = about_mean(
+        equal.result,
+        found,
+        together.covariates,
+        Draw(together.rounds.model, together.rounds.requests[0].stone),
+        at_spins,
+        draws,
+        ridge,
+        of_others=of_others,
+    )
+    return with_throws(result, throws, solution)

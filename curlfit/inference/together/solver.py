@@ -1,0 +1,78 @@
+"""The optimum of several throws that have parameters in common.
+
+The normal matrix has the shape of an arrow (`curlfit.numerics.arrow_matrix`): each
+throw depends on the common parameters and its own only, so that time and memory grow in
+proportion to the throws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from curlfit.inference.model.model import Model
+from curlfit.inference.model.priors import Penalty
+from curlfit.inference.solve.least_squares import Control, Solution, Tasks, solve
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrow_matrix import Blocks
+from curlfit.numerics.batches import FEW, stacked
+
+Progress = Callable[[int, float], None]
+
+# throws are computed in multiples of this many, so that few shapes are compiled
+_TOGETHER = 4
+JOINT = Control(1e-3, 1e-12, 1e-16)
+
+
+def minimize_jointly(
+    model: Model,
+    throws: Tasks,
+    common: Booleans,
+    progress: Progress | None = None,
+    how: Control = JOINT,
+) -> Solution:
+    """The optimum of throws together, each along the first axis of the fields.
+
+    Parameters
+    ----------
+    throws : as for fits of each alone; equal bounds and priors of what they
+        have in common.
+    common : which parameters these are, shape (parameters of a throw,).
+    progress : called at the end with the number of steps, chi squared and that
+        of the priors.
+    """
+    count = len(throws.start)
+    # Throws of no weight, whose parameters are fixed, make it a multiple
+    # of `_TOGETHER`.
+    every = np.minimum(np.arange(count + -count % _TOGETHER), count - 1)
+    padded = jax.tree.map(np.array, throws.at(every))
+    padded.problems.weight[count:] = 0.0
+    for end in (padded.lower, padded.upper):
+        end[count:, ~common] = padded.start[count:, ~common]
+
+    def joined(values: Floats) -> Floats:
+        return np.concatenate([values[0, common], values[:, ~common].ravel()])
+
+    padded.start[:, common] = throws.start[:, common].mean(0)
+    typical = joined(np.broadcast_to(throws.typical, padded.start.shape))
+    padded.penalty.weight[count:] = 0.0
+    penalty = Penalty(*map(joined, padded.penalty))
+    start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
+    whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
+    whole = whole._replace(typical=typical, common=common)
+    found: Solution = jax.tree.map(
+        lambda leaf: leaf[0], solve(model, whole, how, once=count <= FEW)
+    )
+    values = found.values[Blocks.of(common, count).index]
+    if progress is not None:
+        progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
+    return Solution(
+        values,
+        found.residual[:count],
+        found.jacobian[:count],
+        np.full(count, found.steps),
+        np.full(count, found.success),
+        throws.penalty.chi_squared(values),
+    )

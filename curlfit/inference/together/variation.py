@@ -1,0 +1,158 @@
+"""Whether throws that were fitted together agree, apart from what covariates explain.
+
+The estimates of the throws, each fitted by itself, are compared with one another
+(Cochran 1954). Where sigma is not given it is that of the throw alone, since the joint
+fit takes the misfit to a common value for noise. The spread between throws is that at
+which the differences are as large as expected (Paule and Mandel 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.special import chdtrc
+
+from curlfit.inference.information.combinations import Combination
+from curlfit.inference.information.verdict import Verdict
+from curlfit.inference.together.alone import ThrowsAlone, errors_told
+from curlfit.inference.together.result import Variation
+from curlfit.numerics.arrays import Floats
+
+_FEWEST = 3  # throws that tell how something varies
+_LEAST_SPREAD = 0.1  # over the standard error from a throw, where a search begins
+
+
+def weights_of_known(
+    verdicts: Mapping[str, Verdict],
+    combinations: Sequence[Combination],
+    names: Sequence[str],
+) -> dict[str, Floats]:
+    """Weights of parameters in the coefficients that are determined, and
+    in combinations."""
+    combined = {name for item in combinations for name in item.weights}
+    known = {
+        name: {name: 1.0}
+        for name, verdict in verdicts.items()
+        if verdict == Verdict.DETERMINED
+        or (verdict == Verdict.WEAK and name not in combined)
+    } | {item.expression: item.weights for item in combinations}
+    return {
+        expression: np.array([weights.get(name, 0.0) for name in names])
+        for expression, weights in known.items()
+    }
+
+
+def variations_of(
+    alone: ThrowsAlone,
+    jointly: Floats,
+    weights: Mapping[str, Floats],
+    covariates: Floats,
+) -> dict[str, Variation]:
+    """How coefficients and combinations, by expression, vary between throws.
+
+    Parameters
+    ----------
+    jointly : rows of what each throw tells within the joint fit, of which its weight in
+        a shared estimate follows, shape (throws, rows, parameters).
+    weights : of the parameters, by expression.
+    covariates : on which the coefficients depend, with mean zero, shape
+        (throws, covariates).
+    """
+    variations = {}
+    for expression, of_sum in weights.items():
+        errors = errors_told(jointly, of_sum, alone.typical)
+        each = [
+            None if error is None else estimate
+            for estimate, error in zip(
+                alone.estimates(expression, of_sum), errors, strict=True
+            )
+        ]
+        shares = [
+            error**-2
+            for estimate, error in zip(each, errors, strict=True)
+            if estimate is not None and error is not None
+        ]
+        if len(shares) > 1 + covariates.shape[1]:
+            variations[expression] = _variation(
+                expression, each, np.array(shares), covariates
+            )
+    return variations
+
+
+class Varying(NamedTuple):
+    """What varies between throws."""
+
+    weights: dict[str, Floats]
+    """of the parameters in common, by coefficient or combination"""
+    first_spreads: Floats
+    """standard deviations between throws above zero, from which better ones
+    are searched"""
+
+    @classmethod
+    def of(
+        cls,
+        jointly: Floats,
+        weights: Mapping[str, Floats],
+        variations: Mapping[str, Variation],
+        typical: Floats,
+    ) -> Self:
+        """What enough throws tell of within the joint fit."""
+        first_spreads = {}
+        for expression, of_sum in weights.items():
+            told = errors_told(jointly, of_sum, typical)
+            errors = [error for error in told if error is not None]
+            if len(errors) >= _FEWEST:
+                least = _LEAST_SPREAD * float(np.median(errors))
+                variation = variations.get(expression)
+                spread = 0.0 if variation is None else variation.spread
+                first_spreads[expression] = max(spread, least)
+        return cls(
+            {name: weights[name] for name in first_spreads},
+            np.array([*first_spreads.values()]),
+        )
+
+
+def _variation(
+    expression: str,
+    each: Sequence[tuple[float, float] | None],
+    shared: Floats,
+    covariates: Floats,
+) -> Variation:
+    """`shared` are the weights of the throws in the joint fit."""
+    from scipy.optimize import brentq  # slow to load
+
+    known = [item is not None for item in each]
+    estimate, stderr = np.array([item for item in each if item is not None]).T
+    design = np.column_stack([np.ones(len(stderr)), covariates[known]])
+    variance, degrees = stderr**2, len(stderr) - np.linalg.matrix_rank(design)
+
+    def about_mean(between: float) -> tuple[float, float, float]:
+        """Mean of the throws, its variance, and chi squared about the
+        expected values."""
+        root = (variance + between) ** -0.5
+        inverse = np.linalg.pinv(design * root[:, None])
+        found = inverse @ (estimate * root)
+        off = (estimate - design @ found) * root
+        return float(found[0]), float((inverse[0] ** 2).sum()), float(off @ off)
+
+    q, between = about_mean(0.0)[2], 0.0
+    if q > degrees:
+        high = float(estimate.var())
+        while about_mean(high)[2] > degrees:
+            high *= 2
+        between = brentq(
+            lambda size: about_mean(size)[2] - degrees, 0.0, high, xtol=1e-300
+        )
+    mean, of_mean, _ = about_mean(between)
+    share = shared / shared.sum()
+    return Variation(
+        expression=expression,
+        each=tuple(each),
+        p_value=float(chdtrc(degrees, q)),
+        spread=float(np.sqrt(between)),
+        mean=mean,
+        stderr=float(np.sqrt(of_mean)),
+        shared_stderr=float(np.sqrt(share**2 @ (variance + between))),
+    )
