@@ -129,7 +129,7 @@ def compare_sets(
             end=0.0,
             flags=tuple(chosen.words()),
         ),
-        stone=first.rounds.requests[0].stone,
+        stone=first.stack.requests[0].stone,
         curl=0.0,
         side=None,
         candidates=(*(Candidate(**fields) for fields in ordered), *failed),
@@ -231,14 +231,14 @@ def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
     ]
     count = law.counts() * noise.share
     unknown = law.unknown & ~noise.assumed
-    joint = law.told(common)
-    of_all = joint.by()
+    joint = law.at_optimum(common)
+    of_all = joint.covariance()
     departures = law.departures_of_all(of_all, common, weight)
     sets = []
     ranks = 0
     for inside, optimum in zip(members, alone, strict=True):
-        of_set = law.told(optimum)
-        ranks += of_set.by(inside).identifiability.rank
+        of_set = law.at_optimum(optimum)
+        ranks += of_set.covariance(inside).identifiability.rank
         values = float(count[inside].sum())
         spent = float(of_set.parameters()[inside].sum())
         deviances = _deviances(optimum, weight, unknown, count)
@@ -247,7 +247,7 @@ def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
         own_dof = max(values - spent, 1.0)
         chi_squared = float(common.chi_squared[inside].sum())
         own_chi_squared = float(optimum.chi_squared[inside].sum())
-        with_common = joint.by(inside)
+        with_common = joint.covariance(inside)
         sets.append(
             OnSet(
                 chi_squared=chi_squared,

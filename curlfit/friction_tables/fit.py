@@ -93,12 +93,12 @@ def _fitted(on_table: LawOnSets, table: FrictionTable) -> FrictionFit:
     alone, noise = on_table.alone(0)
     weights = on_table.weights(noise)
     optimum = on_table.optimum(inside, alone.values, weights)
-    reduced = on_table.told(optimum)
-    covariance = reduced.by(inside)
+    at_optimum = on_table.at_optimum(optimum)
+    covariance = at_optimum.covariance(inside)
     rank = covariance.identifiability.rank
     dof = float(count - rank) if is_estimated else None
     departures = on_table.departures(covariance, optimum, inside, weights)
-    estimates, combinations = reduced.estimates(covariance, dof, departures)
+    estimates, combinations = at_optimum.estimates(covariance, dof, departures)
     chi_squared = float(optimum.chi_squared[inside].sum())
     # the last channel is that of friction; its rows are filled up to a power of two
     off = optimum.residual[inside][0, -1, :count] / weights[inside][0, -1, :count]
@@ -109,7 +109,7 @@ def _fitted(on_table: LawOnSets, table: FrictionTable) -> FrictionFit:
     speed = np.geomspace(table.speed.min(), table.speed.max(), _CURVE)
     acceleration = accelerations(
         law.from_vector(covariance.values),
-        on_table.rounds.requests[0].stone,
+        on_table.stack.requests[0].stone,
         on_table.model.load,
         jnp.asarray(speed),
         jnp.full(_CURVE, np.median(table.omega)),

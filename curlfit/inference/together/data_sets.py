@@ -83,34 +83,34 @@ class DataSet(NamedTuple):
         return "track" if self.throws[0].has_path else "throws"
 
 
-def data_sets(items: Iterable[Throw | FrictionTable]) -> list[DataSet]:
+def data_sets(data: Iterable[Throw | FrictionTable]) -> list[DataSet]:
     """Throws and tables as data sets: timed throws of one file are one.
 
     Raises
     ------
     InputError : anything else than a throw or a table of friction, or none.
     """
-    found: dict[str, DataSet] = {}
-    for item in items:
+    sets: dict[str, DataSet] = {}
+    for part in data:
         require_kind(
-            item, (Throw, FrictionTable), "data", "throws and tables of friction"
+            part, (Throw, FrictionTable), "data", "throws and tables of friction"
         )
-        one = (
-            DataSet(item.name, table=item) if isinstance(item, FrictionTable) else None
-        )
-        one = one or DataSet(item.name, (item,))  # type: ignore[arg-type]
-        if one.kind == "throws":
-            one = one._replace(name=item.name.partition(" row ")[0])
-        name = one.name
-        while name in found and not found[name].kind == one.kind == "throws":
+        if isinstance(part, FrictionTable):
+            data_set = DataSet(part.name, table=part)
+        else:
+            data_set = DataSet(part.name, (part,))
+        name = part.name
+        if data_set.kind == "throws":
+            name = name.partition(" row ")[0]
+        while name in sets and not sets[name].kind == data_set.kind == "throws":
             name += "'"  # another of the same name
-        earlier = found[name].throws if name in found else ()
-        found[name] = one._replace(name=name, throws=(*earlier, *one.throws))
-    if not found:
+        earlier = sets[name].throws if name in sets else ()
+        sets[name] = data_set._replace(name=name, throws=(*earlier, *data_set.throws))
+    if not sets:
         raise InputError(
             "no data to compare laws with; expected throws or tables of friction"
         )
-    return list(found.values())
+    return list(sets.values())
 
 
 class Noise(NamedTuple):
@@ -142,56 +142,50 @@ class LawOnSets:
         chosen: Comparing,
         family: type[LawFamily] | None = None,
     ) -> None:
-        self.law, self.sets = law, sets
-        throws = [throw for one in sets for throw in one.throws]
-        tables = [one.table for one in sets if one.table is not None]
-        owner = [k for k, one in enumerate(sets) for _ in one.throws]
-        self.owner = np.array([*owner, *(k for k, one in enumerate(sets) if one.table)])
+        self.law = law
+        self.sets = sets
+        throws = [throw for data_set in sets for throw in data_set.throws]
+        tables = [data_set.table for data_set in sets if data_set.table is not None]
+        owners_of_throws = [
+            number for number, data_set in enumerate(sets) for _ in data_set.throws
+        ]
+        owners_of_tables = [
+            number for number, data_set in enumerate(sets) if data_set.table is not None
+        ]
+        self.owner = np.array([*owners_of_throws, *owners_of_tables])
         self.throws = len(throws)
-        options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
-        options |= {
-            name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")
-        }
-        options |= chosen.rows
-        # A heading would take a measured curl from laws that have none.
-        held = options | {"fix": {"heading": 0.0, **options.get("fix", {})}}
-        requests = []
-        for throw in throws or [_carrier()]:
-            of_throw = options if throw.has_path else held
-            choices = Fitting.of(throw.settings, of_throw, law=law, load=load)
-            requests.append(Request.of(throw, choices))
+        requests = _requests(law, load, throws or [_carrier()], chosen)
         parameters = requests[0].parameters
+        coefficients = law.coefficients()
         self.common = np.isin(
-            parameters.names, [item.name for item in law.coefficients()]
+            parameters.names, [coefficient.name for coefficient in coefficients]
         )
         self.names = parameters.names_where(self.common)
         self.model = Model(law, load).within(family)
         shapes = [problem_shape(request.throw) for request in requests]
-        shapes += [
-            (_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables
-        ]
-        channels, rows = map(max, zip(*shapes, strict=True))
-        self.rounds = ThrowStack(self.model, requests, shape=(channels, rows))
+        for table in tables:
+            shapes.append((_LAST + 1, 1 << (len(table.mu) - 1).bit_length()))
+        shape = (
+            max(channels for channels, _ in shapes),
+            max(rows for _, rows in shapes),
+        )
+        self.stack = ThrowStack(self.model, requests, shape=shape)
+        # A table has the arrays of the last throw, which it fills with its own.
         every = np.minimum(np.arange(len(self.owner)), len(requests) - 1)
-        problems = _with_tables(
-            jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems),
-            throws,
-            tables,
-        )
-        start = (
-            self.rounds.starts()[1][0]
-            if throws
-            else np.zeros((1, len(parameters.names)))
-        )
+        problems = jax.tree.map(lambda leaf: np.array(leaf[every]), self.stack.problems)
+        problems = _with_tables(problems, throws, tables)
+        start = np.zeros((1, len(parameters)))
+        if throws:
+            _, sides = self.stack.starts()
+            start = sides[0]
         start = start[every]
-        lower, upper = (end[every] for end in bounds_of(requests, self.common))
-        self.speed = list(parameters.names).index("v0")
-        start[self.throws :, self.common] = [
-            default_guess(item) for item in law.coefficients()
-        ]
+        self.speed = parameters.index("v0")
+        usual = [default_guess(coefficient) for coefficient in coefficients]
+        start[self.throws :, self.common] = usual
         start[self.throws :, self.speed] = _ASIDE
-        for end in (lower, upper):
-            end[self.throws :, ~self.common] = start[self.throws :, ~self.common]
+        lower, upper = (bound[every] for bound in bounds_of(requests, self.common))
+        for bound in (lower, upper):
+            bound[self.throws :, ~self.common] = start[self.throws :, ~self.common]
         start = np.clip(start, lower, upper)
         self.tasks = Tasks(
             problems,
@@ -202,7 +196,7 @@ class LawOnSets:
             Penalty.none(*start.shape),
         )
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
-        self.unknown[: self.throws] = self.rounds.unknown[: self.throws]
+        self.unknown[: self.throws] = self.stack.unknown[: self.throws]
         for row, table in enumerate(tables, self.throws):
             self.unknown[row, _LAST] = table.sigma is None
 
@@ -212,10 +206,10 @@ class LawOnSets:
 
     def called(self, row: int, channel: int, place: int) -> str:
         """A value in words, such as "curl of row 7"."""
-        one = self.sets[self.owner[row]]
-        if one.table is not None:
-            return f"mu at {one.table.speed[place]:.3g} m/s"
-        throw = self.rounds.requests[row].throw
+        table = self.sets[self.owner[row]].table
+        if table is not None:
+            return f"mu at {table.speed[place]:.3g} m/s"
+        throw = self.stack.requests[row].throw
         if channel < _LAST:
             return f"{ROWS_OF_DATA[channel]} at {throw.t[place]:.4g} s"
         _, row_of, number = throw.name.partition(" row ")
@@ -224,8 +218,13 @@ class LawOnSets:
 
     def of_set(self, number: int) -> Booleans:
         """Which throws and tables are those of a data set."""
-        found: Booleans = self.owner == number
-        return found
+        of_set: Booleans = self.owner == number
+        return of_set
+
+    @property
+    def _every(self) -> Booleans:
+        """All throws and tables."""
+        return np.ones(len(self.owner), bool)
 
     def optimum(
         self,
@@ -236,37 +235,37 @@ class LawOnSets:
     ) -> Solution:
         """Of some throws and tables from initial values, shape (throws and tables,
         parameters); the others keep these, as do the parameters `held`."""
-        problems, common = self.tasks.problems, self.common
+        problems = self.tasks.problems
+        common = self.common
         weight = problems.weight if weight is None else weight
-        lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
+        begin = np.array(start)
         begin[:, common] = begin[inside][:, common].mean(0)
         begin[~inside, self.speed] = _ASIDE
-        for end in (lower, upper):
-            end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
-            end[:, [*held]] = begin[:, [*held]]
-        some = problems._replace(weight=weight * inside[:, None, None])
+        lower = np.array(self.tasks.lower)
+        upper = np.array(self.tasks.upper)
+        for bound in (lower, upper):
+            bound[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
+            bound[:, [*held]] = begin[:, [*held]]
+        problems = problems._replace(weight=weight * inside[:, None, None])
         if self.throws:
             moment = np.where(inside, 1.0, _MOMENT)[:, None]
-            some = some._replace(times=moment * problems.times)
+            problems = problems._replace(times=moment * problems.times)
         tasks = self.tasks._replace(
-            problems=some, start=begin, lower=lower, upper=upper
+            problems=problems, start=begin, lower=lower, upper=upper
         )
-        how = JOINT if self.throws else PRECISE
-        found = minimize_jointly(self.model, tasks, common, how=how)
-        kept = np.where(inside[:, None] | common, found.values, start)
-        return found._replace(values=kept)
+        control = JOINT if self.throws else PRECISE
+        solution = minimize_jointly(self.model, tasks, common, how=control)
+        values = np.where(inside[:, None] | common, solution.values, start)
+        return solution._replace(values=values)
 
     def alone(self, number: int) -> tuple[Solution, Noise]:
         """The optimum of a data set alone, with the noise that its residuals show."""
-        inside, before = self.of_set(number), self.tasks.start
-        starts = [before]
+        inside = self.of_set(number)
+        starts = [self.tasks.start]
         if self.sets[number].table is not None:
-            starts = [
-                np.where(self.common, before * factor, before) for factor in _STARTS
-            ]
-            starts = [np.clip(one, *self.tasks[2:4]) for one in starts]
-        found = best(self.optimum(inside, one) for one in starts)
-        if not np.isfinite(found.chi_squared).all():
+            starts = [self._with_coefficients(factor) for factor in _STARTS]
+        optimum = best(self.optimum(inside, start) for start in starts)
+        if not np.isfinite(optimum.chi_squared).all():
             raise UnusableFitError(
                 f"law {self.law.name} with "
                 f"{self.model.load} load gives no finite path for "
@@ -275,26 +274,40 @@ class LawOnSets:
         throws = np.flatnonzero(inside[: self.throws])
 
         def optima(some: Indices) -> Solution:
-            of_throws: Solution = at(found, some)
+            of_throws: Solution = at(optimum, some)
             return of_throws
 
-        for _ in revisions(self.rounds, throws, optima):
-            self.tasks.problems.weight[throws] = self.rounds.problems.weight[throws]
-            found = self.optimum(inside, found.values)
-        return found, self._noise(found)
+        for _ in revisions(self.stack, throws, optima):
+            self.tasks.problems.weight[throws] = self.stack.problems.weight[throws]
+            optimum = self.optimum(inside, optimum.values)
+        return optimum, self._noise(optimum)
 
-    def _noise(self, found: Solution) -> Noise:
-        problems, seen = self.tasks.problems, self.tasks.problems.weight > 0
-        free = (self.tasks.upper > self.tasks.lower) & ~np.isnan(found.values)
-        sigma, share = residual_sigma(found, problems, free), np.ones(seen.shape[:2])
-        for place in np.argwhere(seen[:, :_LAST].sum(-1) >= _FEWEST):
-            row = found.residual[*place][seen[*place]]
-            if row.any() and (known := Independence.of(row)).doubtful:
-                share[*place] = known.effective / len(row)
+    def _with_coefficients(self, factor: float) -> Floats:
+        """Initial values with the coefficients times a factor, within the bounds."""
+        start = self.tasks.start
+        start = np.where(self.common, start * factor, start)
+        return np.clip(start, self.tasks.lower, self.tasks.upper)
+
+    def _noise(self, optimum: Solution) -> Noise:
+        """The noise that residuals show."""
+        problems = self.tasks.problems
+        is_measured = problems.weight > 0
+        free = (self.tasks.upper > self.tasks.lower) & ~np.isnan(optimum.values)
+        sigma = residual_sigma(optimum, problems, free)
+        share = np.ones(is_measured.shape[:2])
+        for row, channel in np.argwhere(is_measured[:, :_LAST].sum(-1) >= _FEWEST):
+            residual = optimum.residual[row, channel][is_measured[row, channel]]
+            if not residual.any():
+                continue
+            independence = Independence.of(residual)
+            if independence.doubtful:
+                share[row, channel] = independence.effective / len(residual)
         ordinary = np.array([*NOISE.values(), 0.0])[: sigma.shape[1]]
         assumed = (share < 1) & (sigma < ordinary)
         return Noise(
-            np.where(assumed, ordinary, sigma), np.where(assumed, 1.0, share), assumed
+            sigma=np.where(assumed, ordinary, sigma),
+            share=np.where(assumed, 1.0, share),
+            assumed=assumed,
         )
 
     def weights(self, noise: Noise) -> Floats:
@@ -302,25 +315,22 @@ class LawOnSets:
         weight = self.tasks.problems.weight
         sigma = np.where(noise.sigma > 0, noise.sigma, 1.0)[..., None]
         largest = np.maximum(weight.max(-1, keepdims=True), np.finfo(float).tiny)
-        own = np.where(self.unknown[..., None], weight / largest / sigma, weight)
-        return np.asarray(own * np.sqrt(noise.share)[..., None])
+        estimated = np.where(self.unknown[..., None], weight / largest / sigma, weight)
+        return np.asarray(estimated * np.sqrt(noise.share)[..., None])
 
     def together(self, alone: Sequence[Solution], weight: Floats) -> Solution:
         """The optimum of all data sets, from those of each."""
-        own, every = (
-            np.stack([one.values for one in alone]),
-            np.ones(len(self.owner), bool),
-        )
-        start = own[self.owner, np.arange(len(every))]
-        starts = [np.where(self.common, one[0], start) for one in own]
-        starts.append(np.where(self.common, own[:, 0].mean(0), start))
-        return best(
-            self.optimum(every, one, weight)
-            for one in starts[: 1 if len(own) == 1 else None]
-        )
+        values = np.stack([optimum.values for optimum in alone])
+        # Each throw and table begins as it ended alone, with the coefficients of one
+        # of the data sets, or their mean.
+        start = values[self.owner, np.arange(len(self.owner))]
+        starts = [np.where(self.common, of_set[0], start) for of_set in values]
+        if len(alone) > 1:
+            starts.append(np.where(self.common, values[:, 0].mean(0), start))
+        return best(self.optimum(self._every, start, weight) for start in starts)
 
     def departures_of_all(
-        self, known: Covariance, optimum: Solution, weight: Floats
+        self, covariance: Covariance, optimum: Solution, weight: Floats
     ) -> Departures:
         """How chi squared of all throws and tables departs from its quadratic in the
         coefficients: the ridge is followed along those that probes tell about, as in a
@@ -328,28 +338,30 @@ class LawOnSets:
 
         Parameters
         ----------
-        known : what they say of the coefficients to first order, at the optimum.
+        covariance : of the coefficients to first order, at the optimum.
         """
-        every = np.ones(len(self.owner), bool)
-        coefficients = np.flatnonzero(self.common).tolist()
-        lower, upper = (end[0, self.common] for end in self.tasks[2:4])
-        bounded = Bounded(optimum.values[0, self.common], lower, upper)
+        indices = np.flatnonzero(self.common).tolist()
+        bounded = Bounded(
+            optimum.values[0, self.common],
+            self.tasks.lower[0, self.common],
+            self.tasks.upper[0, self.common],
+        )
         departing = []
-        for probe in probes_about(known, bounded):
+        for probe in probes_about(covariance, bounded):
             start = np.array(optimum.values)
             start[:, self.common] = probe.point
-            refitted = self.optimum(every, start, weight, coefficients)
+            refitted = self.optimum(self._every, start, weight, indices)
             rise = float((refitted.chi_squared - optimum.chi_squared).sum())
             if probe.departs(rise if math.isfinite(rise) else math.inf):
                 departing.append(probe)
-        held = to_be_held(known, departing, len(coefficients))
+        held = to_be_held(covariance, departing, len(indices))
         if not held:
             return NO_DEPARTURES
-        return self.departures(known, optimum, every, weight, held)
+        return self.departures(covariance, optimum, self._every, weight, held)
 
     def departures(
         self,
-        known: Covariance,
+        covariance: Covariance,
         optimum: Solution,
         inside: Booleans,
         weight: Floats,
@@ -360,91 +372,100 @@ class LawOnSets:
 
         Parameters
         ----------
-        known : what they say of the coefficients to first order, at the optimum.
+        covariance : of the coefficients to first order, at the optimum.
         indices : of the coefficients to be held, by default all that can move.
         """
-        begin = np.array(optimum.values)
 
         def point_of(solution: Solution, parameter: int | None = None) -> Point:
-            information = self.told(solution).information(inside)
+            information = self.at_optimum(solution).information(inside)
             chi_squared = float(solution.chi_squared[inside].sum())
             return Point(information.values, information.slopes, chi_squared, parameter)
 
         def refit(holds: Sequence[Hold]) -> list[Point]:
             points = []
             for hold in holds:
-                start = begin.copy()
+                start = np.array(optimum.values)
                 start[:, self.common] = hold.start
                 held = int(np.flatnonzero(self.common)[hold.parameter])
                 solution = self.optimum(inside, start, weight, [held])
                 points.append(point_of(solution, hold.parameter))
             return points
 
-        lower, upper = (end[0, self.common] for end in self.tasks[2:4])
-        typical = self.tasks.typical[self.common]
         if indices is None:
-            indices = np.flatnonzero(known.open).tolist()
-        errors = {index: known.error_of(index) for index in indices}
-        followed = Followed(point_of(optimum), lower, upper, typical, errors)
-        (ridge,) = follow([followed], refit)
-        usual = np.array([default_guess(item) for item in self.law.coefficients()])
-        return departures_along(known, ridge, usual)
-
-    def told(self, found: Solution) -> Told:
-        """What throws and tables at their optimum say of the coefficients."""
-        information = Information.of(
-            self.rounds.requests[0].parameters.names,
-            Bounded(np.asarray(found.values), *self.tasks[2:4]),
-            self.tasks.typical,
-            found.jacobian,
-            found.residual,
+            indices = np.flatnonzero(covariance.open).tolist()
+        followed = Followed(
+            point_of(optimum),
+            self.tasks.lower[0, self.common],
+            self.tasks.upper[0, self.common],
+            self.tasks.typical[self.common],
+            {index: covariance.error_of(index) for index in indices},
         )
-        return Told(self, information.marginal(self.common))
+        (ridge,) = follow([followed], refit)
+        coefficients = self.law.coefficients()
+        usual = np.array([default_guess(coefficient) for coefficient in coefficients])
+        return departures_along(covariance, ridge, usual)
+
+    def at_optimum(self, optimum: Solution) -> AtOptimum:
+        """What throws and tables say of the coefficients at their optimum."""
+        information = Information.of(
+            self.stack.requests[0].parameters.names,
+            Bounded(np.asarray(optimum.values), self.tasks.lower, self.tasks.upper),
+            self.tasks.typical,
+            optimum.jacobian,
+            optimum.residual,
+        )
+        return AtOptimum(self.law, information.marginal(self.common))
 
 
-class Told(NamedTuple):
-    """What throws and tables at an optimum say of the coefficients."""
+class AtOptimum(NamedTuple):
+    """What throws and tables at an optimum say of the coefficients of a law."""
 
-    of: LawOnSets
+    law: type[Law]
     marginal: Marginal
 
     def information(self, inside: Booleans | slice = slice(None)) -> Information:
         """Of some of them together, or all."""
         return self.marginal.information.at(inside).together()
 
-    def by(self, inside: Booleans | slice = slice(None)) -> Covariance:
+    def covariance(self, inside: Booleans | slice = slice(None)) -> Covariance:
         """By some of them, or all."""
         return Covariance.of(self.information(inside))
 
     def estimates(
         self,
-        known: Covariance,
+        covariance: Covariance,
         dof: float | None = None,
         departures: Departures = NO_DEPARTURES,
     ) -> tuple[dict[str, Estimate], tuple[Combination, ...]]:
-        """Of the coefficients and of determined sums of them, by some of the data sets;
-        `dof` are the degrees of freedom of their errors."""
-        found = {}
-        for place, item in enumerate(self.of.law.coefficients()):
-            free = known.free[place]
-            stderr, verdict, _ = (
-                known.classified(place) if free else (None, Verdict.FIXED, None)
-            )
+        """Of the coefficients and of determined sums of them.
+
+        Parameters
+        ----------
+        covariance : by some of the data sets.
+        dof : degrees of freedom of its errors.
+        """
+        estimates = {}
+        for index, coefficient in enumerate(self.law.coefficients()):
+            stderr = None
+            verdict = Verdict.FIXED
+            if covariance.free[index]:
+                stderr, verdict, _ = covariance.classified(index)
             stderr, verdict, reason = departures.judged(
-                item.name, stderr, verdict, item.typical
+                coefficient.name, stderr, verdict, coefficient.typical
             )
-            found[item.name] = Estimate.of(
-                item,
-                float(known.values[place]),
+            estimates[coefficient.name] = Estimate.of(
+                coefficient,
+                float(covariance.values[index]),
                 verdict,
                 stderr=stderr,
                 dof=None if stderr is None else dof,
                 reason=reason,
             )
         combinations = tuple(
-            replace(one, dof=dof) for one in departures.kept(known.combinations)
+            replace(combination, dof=dof)
+            for combination in departures.kept(covariance.combinations)
         )
-        return found, combinations
+        return estimates, combinations
 
     def parameters(self) -> Floats:
         """Number of parameters spent on each, with its share of the coefficients."""
@@ -453,43 +474,68 @@ class Told(NamedTuple):
         left, singular, _ = np.linalg.svd(
             rows.reshape(-1, rows.shape[-1]), full_matrices=False
         )
-        spent = (
-            (left[:, visible(singular)] ** 2).sum(-1).reshape(rows.shape[:2]).sum(-1)
-        )
-        return np.asarray(spent + self.marginal.rank)
+        leverage = (left[:, visible(singular)] ** 2).sum(-1)
+        shares = leverage.reshape(rows.shape[:2]).sum(-1)
+        return np.asarray(shares + self.marginal.rank)
 
 
 def best(solutions: Iterable[Solution]) -> Solution:
     """The optimum of least chi squared."""
-    each = list(solutions)
-    sizes = [np.nan_to_num(one.chi_squared.sum(), nan=np.inf) for one in each]
-    return each[int(np.argmin(sizes))]
+    solutions = list(solutions)
+    chi_squared = [
+        np.nan_to_num(solution.chi_squared.sum(), nan=np.inf) for solution in solutions
+    ]
+    return solutions[int(np.argmin(chi_squared))]
+
+
+def _requests(
+    law: type[Law], load: Load, throws: Sequence[Throw], chosen: Comparing
+) -> list[Request]:
+    """The requests to fit a law to throws, without the choices of parameters that it
+    does not have."""
+    options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
+    options |= {
+        "stone": chosen.stone,
+        "sigma": chosen.sigma,
+        "unbounded": chosen.unbounded,
+    }
+    options |= chosen.rows
+    # A heading would take a measured curl from laws that have none.
+    of_timed = options | {"fix": {"heading": 0.0, **options.get("fix", {})}}
+    requests = []
+    for throw in throws:
+        of_throw = options if throw.has_path else of_timed
+        choices = Fitting.of(throw.settings, of_throw, law=law, load=load)
+        requests.append(Request.of(throw, choices))
+    return requests
 
 
 def _carrier() -> Throw:
     """A throw that has the parameters where there are tables of friction alone."""
-    hog, tee = LINES["hog"], LINES["far-tee"]
-    events = Event("speed", "speed", 2.0, 0.02, hog), Event("rest", "y", tee, 0.05)
-    return Throw.from_events(events)
+    speed = Event("speed", "speed", 2.0, 0.02, LINES["hog"])
+    rest = Event("rest", "y", LINES["far-tee"], 0.05)
+    return Throw.from_events([speed, rest])
 
 
 def _with_tables(
     problems: Problem, throws: Sequence[Throw], tables: Sequence[FrictionTable]
 ) -> Problem:
     """Problems of throws, and of tables of friction in place of those after these."""
-    count, (every, _, rows) = len(throws), problems.weight.shape
+    count = len(throws)
+    total, _, rows = problems.weight.shape
     if not problems.weight[:count, _LAST:].any():
         problems = problems._replace(events=None)
-    states = np.zeros((every, 2, rows))
+    states = np.zeros((total, 2, rows))
     for row, table in enumerate(tables, count):
         size = len(table.mu)
-        problems.observed[row], problems.weight[row] = 0.0, 0.0
+        problems.observed[row] = 0.0
+        problems.weight[row] = 0.0
         problems.times[row] *= _MOMENT
-        states[row, :, :size] = table.speed, table.omega
+        states[row, 0, :size] = table.speed
+        states[row, 1, :size] = table.omega
         problems.observed[row, _LAST, :size] = table.mu
-        problems.weight[row, _LAST, :size] = (
-            1.0 if table.sigma is None else 1 / table.sigma
-        )
+        weight = 1.0 if table.sigma is None else 1 / table.sigma
+        problems.weight[row, _LAST, :size] = weight
     if not throws:
         problems = problems._replace(times=None)
     return problems._replace(states=states) if tables else problems
