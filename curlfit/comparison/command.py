@@ -10,7 +10,7 @@ from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.figures import FigureFiles
 from curlfit.options.output import Output, Saved, progress_line
-from curlfit.settings.choices import FLAGS, Comparing, Reading
+from curlfit.settings.choices import Comparing, Reading, flag_of
 
 if TYPE_CHECKING:
     from curlfit.comparison.candidates import Progress
@@ -110,7 +110,7 @@ def _one_throw(
     figures = output.drawn()
     job = s.prepare(data, config, reading, flags)
     chosen = job.chosen
-    flags_by_choice = {name: FLAGS.get(name, f"--{name}") for name, _ in chosen}
+    flags_by_choice = {name: flag_of(name) for name, _ in chosen}
     requests = requests_of(job.throw, chosen, flags_by_choice)
     folder = claim_folder(output.out or s.result_folder(data, "compare", reading))
 

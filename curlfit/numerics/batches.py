@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any, TypeVar
 
 import jax
@@ -35,6 +36,11 @@ def unstacked(stack: Any) -> list[Any]:
     """The records of a stack."""
     leaves, tree = jax.tree.flatten(stack)
     return [jax.tree.unflatten(tree, parts) for parts in zip(*leaves, strict=True)]
+
+
+def at(stack: Any, which: Any) -> Any:
+    """The record of a stack at an index, or a stack of those at several."""
+    return jax.tree.map(itemgetter(which), stack)
 
 
 def in_batches(

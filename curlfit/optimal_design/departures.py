@@ -220,7 +220,7 @@ class _Plan:
     @cached_property
     def probes(self) -> list[Probe]:
         """Where chi squared is compared with its quadratic."""
-        return probes_about(self.covariance, self.bounded)
+        return probes_about(self.covariance)
 
     def held(self, rises: Sequence[float]) -> list[int]:
         """The parameters along which the ridge is to be followed, as in a fit; of

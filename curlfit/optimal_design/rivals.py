@@ -22,7 +22,7 @@ from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.directions import r_factor, visible
 from curlfit.inference.model.likelihood import predict_many
 from curlfit.inference.model.parameters import START, ParameterSet
-from curlfit.inference.model.problem import problem_shape
+from curlfit.inference.model.problem import problem_shape, shape_of_all
 from curlfit.inference.model.request import Request
 from curlfit.inference.solve.least_squares import Solution
 from curlfit.inference.together.effects import Covariates
@@ -178,21 +178,17 @@ class Rival:
         """Fit each throw on its own."""
         choices = Fitting.of(**self._choices)
         requests = [Request.of(_accepted(throw), choices) for throw in throws]
-        shapes = [problem_shape(request.throw) for request in requests]
-        shape = (
-            max(channels for channels, _ in shapes),
-            max(rows for _, rows in shapes),
-        )
-        rounds = ThrowStack(
+        shape = shape_of_all([problem_shape(request.throw) for request in requests])
+        stack = ThrowStack(
             self.model, requests, shape=shape, batch=side_by_side(len(throws))
         )
         solution_by_throw = []
-        for fit in fitted(rounds):
+        for fit in fitted(stack):
             if isinstance(fit, CurlfitError):
                 raise fit
             solution_by_throw.append(fit.solution)
         solutions = stacked(solution_by_throw)
-        rows = self._rows(rounds, solutions)
+        rows = self._rows(stack, solutions)
         rows[~np.asarray(solutions.success)] = np.nan
         return SingleFits(solutions.values[:, : self.size], rows)
 
@@ -207,16 +203,16 @@ class Rival:
         requests = [Request.of(_accepted(throw), choices) for throw in throws]
         none = Covariates.of([("", {})] * len(throws), (), ())
         joint = solved_together(requests, names, none, None)
-        rows = self._rows(joint.rounds, joint.solution)
+        rows = self._rows(joint.stack, joint.solution)
         return FitTogether(rows, bool(np.all(joint.solution.success)))
 
-    def _rows(self, rounds: ThrowStack, solutions: Solution) -> Floats:
+    def _rows(self, stack: ThrowStack, solutions: Solution) -> Floats:
         """What is left of the residuals of each throw whatever its initial state."""
-        parameters = rounds.requests[0].parameters
+        parameters = stack.requests[0].parameters
         values = solutions.values
-        paths = predict_many(self.model, values, rounds.problems, rounds.batch)
+        paths = predict_many(self.model, values, stack.problems, stack.batch)
         changes = residual_changes(
-            self.model, rounds.problems, values, paths, self._widths, rounds.batch
+            self.model, stack.problems, values, paths, self._widths, stack.batch
         )
         scaled = solutions.jacobian * (parameters.typical * parameters.free)
         of_law = (values / parameters.typical)[:, None, None, : self.size]

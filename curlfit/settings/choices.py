@@ -62,6 +62,13 @@ FLAGS = {
     "coefficients": "--set",
 }
 """Flags of other names than their choices."""
+
+
+def flag_of(name: str) -> str:
+    """The flag of a choice."""
+    return FLAGS.get(name, f"--{name.replace('_', '-')}")
+
+
 UNSET: Any = None
 if TYPE_CHECKING:
     Named = Mapping[str, Any]
@@ -259,7 +266,7 @@ class Choices:
         forms = self.forms()
         words = []
         for name, value in self.given().items():
-            flag = FLAGS.get(name, f"--{name.replace('_', '-')}")
+            flag = flag_of(name)
             if value is True:
                 words.append(flag)
             else:

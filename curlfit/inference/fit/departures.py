@@ -177,7 +177,7 @@ NO_DEPARTURES = Departures({}, set(), {})
 """Of chi squared that is a quadratic, or is taken for one."""
 
 
-def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
+def probes_about(covariance: Covariance) -> list[Probe]:
     """Points about the optimum that show whether chi squared is a quadratic.
 
     Two standard errors from the estimate of each parameter and combination that is
@@ -185,12 +185,9 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
     the bounds; on either side along what is hardly determined, one standard
     error from the optimum, or three typical sizes if that is less, whatever the
     bounds; and there, along null directions, two standard errors from combinations.
-
-    Parameters
-    ----------
-    bounded : values and bounds of the parameters.
     """
-    probes = _probes_of_sums_elsewhere(covariance, bounded)
+    bounded = covariance.information.bounded
+    probes = _probes_of_sums_elsewhere(covariance)
     for name, weights in covariance.identifiability.determined().items():
         step = _step_of(covariance, weights)
         if np.abs(step / covariance.typical).max() < _QUADRATIC:
@@ -209,10 +206,11 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
     return probes
 
 
-def _probes_of_sums_elsewhere(covariance: Covariance, bounded: Bounded) -> list[Probe]:
+def _probes_of_sums_elsewhere(covariance: Covariance) -> list[Probe]:
     """Two standard errors from combinations, three typical sizes along the null
     directions in which their parameters take part, or as far as the bounds leave: where
     only a ratio is known, a sum is known the worse the larger its parameters are."""
+    bounded = covariance.information.bounded
     probes = []
     statements = covariance.identifiability.determined()
     for direction, singular in _loose_directions(covariance):

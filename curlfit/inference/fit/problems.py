@@ -1,4 +1,5 @@
-"""The problem that a saved fit solved, and bounds and priors of many requests."""
+"""The problem that a saved fit solved, a fitted path to first order, and the bounds and
+priors of many requests."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.fit.problems import bounds_of, linearized
 from curlfit.inference.fit.residuals import residual_sigma
-from curlfit.inference.fit.throw_stack import ThrowStack, at
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.model.likelihood import (
     SIGMA_FLOOR,
     predict_many,
@@ -39,6 +39,7 @@ from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.solve.least_squares import Indices, Solution
 from curlfit.losses import place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import at
 from curlfit.throws.throw import CHANNELS
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
-from operator import itemgetter
 from typing import NamedTuple, Self
 
-import jax
 import numpy as np
 
 from curlfit.findings import Finding
@@ -69,7 +67,7 @@ from curlfit.inference.solve.least_squares import (
 )
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import stacked, unstacked
+from curlfit.numerics.batches import at, stacked, unstacked
 from curlfit.throws.plausibility import examine_fit
 from curlfit.throws.throw import CHANNELS
 
@@ -294,10 +292,7 @@ class _Many(NamedTuple):
         earlier: Sequence[Ridge | None] | None,
     ) -> list[Departures]:
         """How chi squared of each throw departs from its quadratic."""
-        probes_by_throw = [
-            probes_about(covariance, Bounded(*(part[row] for part in self.bounded)))
-            for row, covariance in enumerate(covariances)
-        ]
+        probes_by_throw = [probes_about(covariance) for covariance in covariances]
         rises_by_throw = self._rises(probes_by_throw, searched, batch)
         departing = [
             [
@@ -387,7 +382,7 @@ class _Many(NamedTuple):
             return [np.zeros(0) for _ in counts]
         owner = np.repeat(np.arange(len(counts)), counts)  # throw of each point
         best = self.solutions.values[owner]
-        problems = jax.tree.map(itemgetter(owner), self.problems)
+        problems = at(self.problems, owner)
         rises = chi_squared_of_many(self.model, points, problems, batch)
         rises = rises - self.solutions.chi_squared[owner]
         priors = self.penalty.at(owner)
@@ -442,9 +437,7 @@ class _Many(NamedTuple):
         for number, index in enumerate(held):
             if index is not None:
                 lower[number, index] = upper[number, index] = start[number, index]
-        problems, penalty = jax.tree.map(
-            itemgetter(owner), (self.problems, self.penalty)
-        )
+        problems, penalty = at((self.problems, self.penalty), owner)
         tasks = Tasks(problems, start, lower, upper, self.typical, penalty)
         return unstacked(minimize_many(self.model, tasks, batch, most))
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import itemgetter
-from typing import Any
 
-import jax
 import numpy as np
 
 from curlfit.errors import InputError
@@ -27,7 +24,7 @@ from curlfit.inference.solve.initial_values import (
 )
 from curlfit.inference.solve.least_squares import Indices, Solution, as_slice
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import stacked, unstacked
+from curlfit.numerics.batches import at, stacked, unstacked
 from curlfit.throws.throw import CHANNELS, Throw
 
 # factor on the usual coefficients, or one over it, within which a rough path tells them
@@ -214,11 +211,6 @@ def _problems(
         for request, throw, sigma in zip(requests, throws, sigmas, strict=True)
     ]
     return stacked(problems)
-
-
-def at(stack: Any, which: Any) -> Any:
-    """The records of a stack at an index, or at several."""
-    return jax.tree.map(itemgetter(which), stack)
 
 
 def first_problem(request: Request) -> tuple[Model, ParameterSet, Problem]:

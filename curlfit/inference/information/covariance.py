@@ -82,7 +82,7 @@ class Covariance:
 
     @property
     def values(self) -> Floats:
-        """Values at the optimum, in the data's coordinates."""
+        """Values at the optimum."""
         return self.information.values
 
     @property

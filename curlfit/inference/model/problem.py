@@ -117,6 +117,13 @@ def problem_shape(throw: Throw) -> tuple[int, int]:
     return channels, max(_SHORTEST, 1 << (len(throw) - 1).bit_length())
 
 
+def shape_of_all(shapes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The smallest shape that holds the data of several problems."""
+    channels = max(channels for channels, _ in shapes)
+    rows = max(rows for _, rows in shapes)
+    return channels, rows
+
+
 def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
     """The assumed environment of a throw, as arrays.
 

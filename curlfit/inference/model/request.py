@@ -6,7 +6,7 @@ No JAX is loaded for it, so that what cannot be fitted is refused quickly.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -125,10 +125,6 @@ class Request:
         """The same rows under other choices of the law, its load, the noise and the
         parameters. Raises `InputError` for one that cannot be used."""
         return self._of_rows(self.throw, self.findings, chosen)
-
-    def with_stone(self, stone: Stone) -> Request:
-        """The same of another stone."""
-        return replace(self, stone=stone)
 
     @property
     def assumed_spin(self) -> float:

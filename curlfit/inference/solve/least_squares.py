@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +24,7 @@ from curlfit.inference.model.priors import Penalty
 from curlfit.inference.model.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import BATCH, in_batches, stacked
+from curlfit.numerics.batches import BATCH, at, in_batches, stacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -122,10 +121,8 @@ class Tasks(NamedTuple):
 
     def at(self, which: Indices) -> Tasks:
         """Some of the problems."""
-        problems, start, lower, upper, penalty = jax.tree.map(
-            itemgetter(as_slice(which)),
-            (self.problems, self.start, self.lower, self.upper, self.penalty),
-        )
+        stacks = self.problems, self.start, self.lower, self.upper, self.penalty
+        problems, start, lower, upper, penalty = at(stacks, as_slice(which))
         return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
 
     @property

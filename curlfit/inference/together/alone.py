@@ -92,13 +92,13 @@ def fitted_alone(
     """Each throw fitted by itself, with some parameters `held`; None where that does
     not converge. The priors of what throws have in common count once, for all of them,
     and are not among these."""
-    rounds = together.rounds
-    names = rounds.requests[0].parameters.names_where(together.common)
+    stack = together.stack
+    names = stack.requests[0].parameters.names_where(together.common)
     again = ThrowStack(
-        rounds.model,
-        [_by_itself(request, names, held) for request in rounds.requests],
-        shape=rounds.problems.observed.shape[1:],
-        batch=side_by_side(len(rounds.requests)),
+        stack.model,
+        [_by_itself(request, names, held) for request in stack.requests],
+        shape=stack.problems.observed.shape[1:],
+        batch=side_by_side(len(stack.requests)),
     )
     fits = fitted(again)
     usable = [one for one in fits if not isinstance(one, CurlfitError)]

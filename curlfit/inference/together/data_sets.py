@@ -32,7 +32,7 @@ from curlfit.inference.fit.problems import bounds_of
 from curlfit.inference.fit.residuals import residual_sigma
 from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
-from curlfit.inference.fit.throw_stack import ThrowStack, at
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.covariance import Covariance
@@ -42,7 +42,12 @@ from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.parameters import options_of
 from curlfit.inference.model.priors import Penalty
-from curlfit.inference.model.problem import ROWS_OF_DATA, Problem, problem_shape
+from curlfit.inference.model.problem import (
+    ROWS_OF_DATA,
+    Problem,
+    problem_shape,
+    shape_of_all,
+)
 from curlfit.inference.model.request import Request
 from curlfit.inference.noise.independence import Independence
 from curlfit.inference.solve.initial_values import default_guess
@@ -54,6 +59,7 @@ from curlfit.inference.solve.least_squares import (
 )
 from curlfit.inference.together.solver import JOINT, minimize_jointly
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.batches import at
 from curlfit.settings.choices import Comparing, Fitting
 from curlfit.sheet import LINES
 from curlfit.throws.events import Event
@@ -165,11 +171,7 @@ class LawOnSets:
         shapes = [problem_shape(request.throw) for request in requests]
         for table in tables:
             shapes.append((_LAST + 1, 1 << (len(table.mu) - 1).bit_length()))
-        shape = (
-            max(channels for channels, _ in shapes),
-            max(rows for _, rows in shapes),
-        )
-        self.stack = ThrowStack(self.model, requests, shape=shape)
+        self.stack = ThrowStack(self.model, requests, shape=shape_of_all(shapes))
         # A table has the arrays of the last throw, which it fills with its own.
         every = np.minimum(np.arange(len(self.owner)), len(requests) - 1)
         problems = jax.tree.map(lambda leaf: np.array(leaf[every]), self.stack.problems)
@@ -341,13 +343,8 @@ class LawOnSets:
         covariance : of the coefficients to first order, at the optimum.
         """
         indices = np.flatnonzero(self.common).tolist()
-        bounded = Bounded(
-            optimum.values[0, self.common],
-            self.tasks.lower[0, self.common],
-            self.tasks.upper[0, self.common],
-        )
         departing = []
-        for probe in probes_about(covariance, bounded):
+        for probe in probes_about(covariance):
             start = np.array(optimum.values)
             start[:, self.common] = probe.point
             refitted = self.optimum(self._every, start, weight, indices)

@@ -20,11 +20,11 @@ from curlfit.inference.fit.revisions import revisions
 from curlfit.inference.fit.ridge import Ridge
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.fit.throw_stack import ThrowStack, at
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.problem import problem_shape
+from curlfit.inference.model.problem import problem_shape, shape_of_all
 from curlfit.inference.model.request import Request
 from curlfit.inference.solve.least_squares import Indices, Solution, Tasks
 from curlfit.inference.together.advice import with_throws
@@ -45,7 +45,7 @@ from curlfit.inference.together.variation import (
     weights_of_known,
 )
 from curlfit.numerics.arrays import Booleans
-from curlfit.numerics.batches import side_by_side, unstacked
+from curlfit.numerics.batches import at, side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw
 
@@ -170,20 +170,16 @@ def solved_together(
     first = requests[0]
     parameters = first.parameters
     common = np.isin(parameters.names, (*shared, *parameters.conditions))
-    shapes = [problem_shape(request.throw) for request in requests]
-    shape = (
-        max(channels for channels, _ in shapes),
-        max(rows for _, rows in shapes),
-    )
+    shape = shape_of_all([problem_shape(request.throw) for request in requests])
     model = Model.of(first)
-    rounds = ThrowStack(model, requests, shape=shape)
-    _, sides = rounds.starts()
+    stack = ThrowStack(model, requests, shape=shape)
+    _, sides = stack.starts()
     starts = [
         request.with_given_start(values)
         for request, values in zip(requests, sides[0], strict=True)
     ]
     tasks = Tasks(
-        rounds.problems,
+        stack.problems,
         np.stack(starts),
         *bounds_of(requests, common),
         parameters.typical,
@@ -196,13 +192,13 @@ def solved_together(
         some: Solution = at(solution, throws)
         return some
 
-    for _ in revisions(rounds, np.arange(len(requests)), optima):
+    for _ in revisions(stack, np.arange(len(requests)), optima):
         tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
         solution = _ended(model, tasks, common, progress)
         _require_path(solution, first)
-    for failure in rounds.failures.values():
+    for failure in stack.failures.values():
         raise failure
-    return Together(rounds, tasks, solution, common, covariates)
+    return Together(stack, tasks, solution, common, covariates)
 
 
 def _require_path(solution: Solution, request: Request) -> None:
@@ -234,7 +230,7 @@ def _summarized(
     together: Together, solution: Solution, **known: Any
 ) -> list[FitResult]:
     records = [
-        together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))
+        together.stack.record(row, one) for row, one in enumerate(unstacked(solution))
     ]
     return summarize_many(records, side_by_side(len(records)), **known)
 
@@ -251,21 +247,21 @@ class _Equal(NamedTuple):
 def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
-    rounds, tasks, solution, common, covariates = together
-    widths = widths_of(rounds.model, given, rounds.requests, jointly=True)
+    stack, tasks, solution, common, covariates = together
+    widths = widths_of(stack.model, given, stack.requests, jointly=True)
     joint_ridges: list[JointRidge] = []
 
     def ridges(stderr: dict[int, float]) -> list[Ridge]:
         joint_ridges.append(follow_jointly(together, solution, stderr))
         return joint_ridges[-1].of_throws
 
-    first_request = rounds.requests[0]
+    first_request = stack.requests[0]
     same_names = same_in_all(
-        [request.throw for request in rounds.requests], rounds.model.law
+        [request.throw for request in stack.requests], stack.model.law
     )
     same = np.isin(first_request.parameters.names, [*same_names])
     # With what is usual as a prior, an evening of draws is near a quadratic.
-    evening = same.any() and len(rounds.requests) >= VARYING
+    evening = same.any() and len(stack.requests) >= VARYING
     throws = _summarized(
         together,
         solution,
@@ -330,7 +326,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         variation=tuple(variations.values()),
         systematics=replace(first.systematics, shifts=shifts),
     )
-    of_law = np.isin(shared, [item.name for item in rounds.model.law.coefficients()])
+    of_law = np.isin(shared, [item.name for item in stack.model.law.coefficients()])
     may_vary = {name: own for name, own in weights.items() if not own[~of_law].any()}
     varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
     return _Equal(with_throws(result, throws, solution), varying, ridge)
@@ -381,7 +377,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     if ended:
         draws = sampled(found.fit, guess, seed)
         # tracks know their coefficients better than these vary: Student's t is exact
-        if not any(one.throw.has_path for one in together.rounds.requests):
+        if not any(one.throw.has_path for one in together.stack.requests):
             of_others = drawn_for_others(found.fit, guess, draws)
     throws = [
         replace(one, systematics=before.systematics)
@@ -397,7 +393,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         equal.result,
         found,
         together.covariates,
-        Draw(together.rounds.model, together.rounds.requests[0].stone),
+        Draw(together.stack.model, together.stack.requests[0].stone),
         at_spins,
         draws,
         ridge,

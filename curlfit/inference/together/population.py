@@ -151,7 +151,7 @@ class Population(NamedTuple):
 class Together(NamedTuple):
     """Throws that are fitted together."""
 
-    rounds: ThrowStack
+    stack: ThrowStack
     tasks: Tasks
     solution: Solution
     """their optimum with equal coefficients"""
@@ -164,7 +164,7 @@ class Together(NamedTuple):
         tasks = self.tasks
         bounded = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
         return Information.of(
-            self.rounds.requests[0].parameters.names,
+            self.stack.requests[0].parameters.names,
             bounded,
             tasks.typical,
             solution.jacobian,
@@ -300,7 +300,7 @@ def vary(
     covariates = throws.covariates.values
     centre, projection = reference, None
     for linearization in itertools.count():
-        solution = throws.rounds.with_own_sigma(solution)
+        solution = throws.stack.with_own_sigma(solution)
         marginal = marginal_of(throws, solution)
         linear = _about(throws, marginal.information, centre)
         if projection is None:
@@ -356,7 +356,7 @@ def at_coefficients(throws: Together, values: Floats) -> Solution:
     upper = np.where(throws.common, start, tasks.upper)
     tasks = tasks._replace(start=start, lower=lower, upper=upper)
     batch = side_by_side(len(values))
-    return minimize_many(throws.rounds.model, tasks, batch, _STEPS)
+    return minimize_many(throws.stack.model, tasks, batch, _STEPS)
 
 
 def _of_throws(throws: Together) -> Penalty:

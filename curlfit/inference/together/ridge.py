@@ -166,7 +166,7 @@ def follow_jointly(
             lower[:, index] = start[:, index]
             upper[:, index] = start[:, index]
             held = tasks._replace(start=start, lower=lower, upper=upper)
-            model = together.rounds.model
+            model = together.stack.model
             optimum = minimize_jointly(model, held, common, how=_REFIT)
             refits.append(_Refit.of(together, optimum, index))
             points.append(refits[-1].in_common())
@@ -188,7 +188,7 @@ def follow_jointly(
         )
         for row in range(len(tasks.start))
     ]
-    law = together.rounds.model.law
+    law = together.stack.model.law
     of_law = common[: len(law.coefficients())]
     usual = [
         default_guess(item) for item in itertools.compress(law.coefficients(), of_law)
