@@ -256,8 +256,8 @@ def browser():
     driver.quit()
 
 
-def wait_for(condition: Callable[[], Any], seconds: float = 30.0) -> None:
-    """Wait until something is so."""
+def wait_for(condition: Callable[[], Any], seconds: float = 120.0) -> None:
+    """Wait until something is so; it fails where it hangs, not where it is slow."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not happen"

@@ -19,6 +19,10 @@ from curlfit.foreign import say
 from curlfit.output.files import atomic_write
 
 _HOST = "127.0.0.1"
+_RECONNECT = 60.0
+"""Seconds after which a browser that does not answer has gone. Within NiceGUI's 3 s, a
+browser beside fits on all processors may not answer, and then loads the page anew,
+which loses a file on its way."""
 _OPENING = (
     '<!doctype html><meta charset="utf-8"><title>curlfit</title>'
     '<meta name="referrer" content="no-referrer">'
@@ -88,7 +92,12 @@ def _server(cli: App, start: Path, folder: Path, guard: Guard) -> Callable[..., 
     app.on_shutdown(page.close)
     outer = FastAPI(openapi_url=None)
     ui.run_with(
-        outer, mount_path=guard.path, dark=None, tailwind=False, language="en-US"
+        outer,
+        mount_path=guard.path,
+        dark=None,
+        tailwind=False,
+        language="en-US",
+        reconnect_timeout=_RECONNECT,
     )
     config = uvicorn.Config(
         guard.around(outer, MOST_BYTES), log_level="error", timeout_graceful_shutdown=1
