@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from curlfit.foreign import counted, csv_lines
+from curlfit.inference.derived.quantiles import Quantiles
+from curlfit.inference.derived.quantity import Derived, to_its_side
 from curlfit.inference.fit.estimate_columns import (
     DOF,
     HIGH,
@@ -27,7 +29,6 @@ from curlfit.inference.fit.estimate_columns import (
 )
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.information.derived import Derived, Quantiles, to_its_side
 from curlfit.inference.information.verdict import Verdict
 from curlfit.output import latex
 from curlfit.output.frames import csv_of

@@ -8,8 +8,8 @@ from os import PathLike
 from typing import Annotated, Any, ClassVar, Literal
 
 from curlfit.findings import Finding
+from curlfit.inference.derived.quantiles import LEVELS, Quantiles
 from curlfit.inference.fit.entries import Extent
-from curlfit.inference.information.derived import LEVELS, Quantiles
 from curlfit.inference.model.parameters import START
 from curlfit.loads import Load
 from curlfit.numerics.arrays import Floats

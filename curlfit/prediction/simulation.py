@@ -10,7 +10,7 @@ import numpy as np
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction import no_motion_because
-from curlfit.inference.information.derived import LEVELS, quantiles_of
+from curlfit.inference.derived.quantiles import LEVELS, quantiles_of
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.findings import Finding
+from curlfit.inference.derived.quantiles import Quantiles
 from curlfit.inference.fit.entries import Extent, LossName
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.information.derived import Quantiles
 from curlfit.inference.information.intervals import student_quantile
 from curlfit.inference.model.parameters import ParameterSet
 from curlfit.loads import Load

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from curlfit.findings import Finding
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.fit.estimate_columns import (
     NAME,
     POSTERIOR,
@@ -15,7 +16,6 @@ from curlfit.inference.fit.estimate_columns import (
     VERDICT,
     EstimateRow,
 )
-from curlfit.inference.information.derived import Derived
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.conditions import if_off, is_calibration
 from curlfit.output.document import Said

@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted, file_and_number
+from curlfit.inference.derived.quantiles import Quantiles
+from curlfit.inference.derived.quantity import Derived, scaled, to_its_side
 from curlfit.inference.fit.entries import FittedEvent
 from curlfit.inference.fit.estimate_columns import (
     NAME,
@@ -20,12 +22,6 @@ from curlfit.inference.fit.estimate_columns import (
     SYSTEMATIC,
     VALUE,
     EstimateRow,
-)
-from curlfit.inference.information.derived import (
-    Derived,
-    Quantiles,
-    scaled,
-    to_its_side,
 )
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.parameters import START
@@ -85,7 +81,7 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def document(fit: FitResult) -> Document:
     """What a fit says."""
     hidden = any(
-        parameter.verdict.is_open or parameter.verdict == Verdict.AT_BOUND
+        parameter.verdict.is_left_open or parameter.verdict == Verdict.AT_BOUND
         for parameter in fit.parameters.values()
     )
     unfinished = None

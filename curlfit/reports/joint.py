@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.findings import Finding
+from curlfit.inference.derived.quantiles import Quantiles
 from curlfit.inference.fit.estimate_columns import (
     POSTERIOR,
     STDERR,
@@ -18,7 +19,6 @@ from curlfit.inference.fit.estimate_columns import (
     EstimateRow,
     interval_in_words,
 )
-from curlfit.inference.information.derived import Quantiles
 from curlfit.inference.together.effects import SLOPES_DIFFER, chances_of_alike_slopes
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Section, command_line, show

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from curlfit.foreign import counted
+from curlfit.inference.derived.quantiles import Quantiles, quantiles_of
 from curlfit.inference.fit.estimate_columns import interval_in_words
-from curlfit.inference.information.derived import Quantiles, quantiles_of
 from curlfit.output.document import Document, Section
 from curlfit.output.table import Column, Table
 from curlfit.wording import from_to

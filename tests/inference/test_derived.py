@@ -15,11 +15,13 @@ from scipy.optimize import approx_fprime
 import curlfit
 from curlfit.environment import Environment
 from curlfit.errors import InputError
+from curlfit.inference.derived.along_ridge import demanded_error
+from curlfit.inference.derived.derive import derive
+from curlfit.inference.derived.expression import parse
+from curlfit.inference.derived.first_order import FirstOrder
 from curlfit.inference.fit.estimates import Estimate, RidgePoint
 from curlfit.inference.fit.products import products_of
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.information.derived import FirstOrder, _demanded, derive
-from curlfit.inference.information.expression import parse
 from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.verdict import Verdict
 from curlfit.reports.fit import document
@@ -339,10 +341,12 @@ def test_the_error_is_the_largest_of_a_profile():
     for moved, error, rise in random.exponential((0.5, 0.5, 1.0), (200, 3)):
         beyond = k[k**2 >= rise]
         ratios = (moved + error * np.sqrt(beyond**2 - rise)) / beyond
-        assert _demanded(moved, error, rise) == pytest.approx(ratios.max(), rel=1e-3)
-    assert _demanded(0.0, 0.3, 0.0) == 0.3
-    assert _demanded(0.2, 0.0, 4.0) == pytest.approx(0.1)
-    assert math.isinf(_demanded(0.0, math.inf, 1.0))
+        assert demanded_error(moved, error, rise) == pytest.approx(
+            ratios.max(), rel=1e-3
+        )
+    assert demanded_error(0.0, 0.3, 0.0) == 0.3
+    assert demanded_error(0.2, 0.0, 4.0) == pytest.approx(0.1)
+    assert math.isinf(demanded_error(0.0, math.inf, 1.0))
 
 
 def test_a_ridge_that_drifts_widens_the_error():

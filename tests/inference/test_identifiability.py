@@ -135,7 +135,7 @@ def test_a_parameter_at_its_bound_confines_no_direction_in_which_it_has_no_part(
     bounded = Bounded(
         np.array([3.9, 0.0, 0.01]), np.array([0.05, 0.0, 0.01]), np.full(3, 20.0)
     )
-    (found,) = bounded.confine(
+    (found,) = bounded.alone_limit(
         np.array([[1.0, 1e-17, -1e-17]]), np.array([0.95]), np.ones(3)
     )
     assert not found

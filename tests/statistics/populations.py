@@ -25,8 +25,8 @@ from numpyro.infer import MCMC, NUTS, init_to_value
 from tables import Table
 
 import curlfit
+from curlfit.inference.derived.quantiles import LEVELS
 from curlfit.inference.fit.coefficient_rows import coefficient_rows
-from curlfit.inference.information.derived import LEVELS
 from curlfit.inference.together.effects import Covariates
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4

@@ -8,12 +8,12 @@ import numpy as np
 
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.fit.departures import Departures, KnownCondition
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.information.derived import Derived
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.independence import time_of_motion
@@ -145,7 +145,7 @@ def of_ridges(
     open_ = [
         {"name": name, "low": float(low), "high": float(high)}
         for name, (low, high) in departures.intervals.items()
-        if estimates[name].verdict.is_open
+        if estimates[name].verdict.is_left_open
     ]
     if not open_:
         return []

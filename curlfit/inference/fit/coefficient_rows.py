@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.information.directions import directions, standard_error
+from curlfit.inference.information.directions import (
+    directions_of_squares,
+    standard_error,
+)
 from curlfit.inference.information.ridge_information import information_along
 from curlfit.inference.information.thresholds import WEAK_ERROR
 from curlfit.numerics.arrays import Booleans, Floats
@@ -100,7 +103,7 @@ def left_open(fit: FitResult) -> tuple[str, ...]:
     moves = np.abs(_moves_along_ridge(fit, names) / typical).max(0)
     places = [fit.information.names.index(name) for name in names]
     with_start_known = fit.information.matrix[np.ix_(places, places)]
-    *_, null = directions(with_start_known, typical)
+    *_, null = directions_of_squares(with_start_known, typical)
     # Each of two coefficients of which only the sum enters has a share of 0.7.
     told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
     open_ = []

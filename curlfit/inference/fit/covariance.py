@@ -55,7 +55,7 @@ class FitCovariance(Covariance):
         """
         known = Covariance.of(information, estimator, of_data, sigmas.total)
         by_open = jacobian[..., known.open]
-        effect = by_open @ known.matrix
+        effect = by_open @ known.conditional_matrix
         leverage = (effect * by_open).sum(-1)
         return cls(
             **vars(known),
@@ -76,7 +76,7 @@ class FitCovariance(Covariance):
             dof = np.append(dof, self.others.dof)
         if self.has_priors:
             # The rest is the part of the priors, which are known exactly.
-            variances = ((weights @ self.matrix) * weights).sum(-1)
+            variances = ((weights @ self.conditional_matrix) * weights).sum(-1)
             parts = np.column_stack([parts, variances - parts.sum(-1)])
             dof = np.append(dof, np.inf)
         return satterthwaite(parts, dof)

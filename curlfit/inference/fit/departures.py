@@ -239,7 +239,7 @@ def _room_for(bounded: Bounded, step: Floats) -> float:
 def _step_of(covariance: Covariance, weights: Floats) -> Floats:
     """Change of the parameters along which a weighted sum of the open ones changes by
     two standard errors, the others following to first order; zero if it has none."""
-    follow = covariance.matrix @ weights
+    follow = covariance.conditional_matrix @ weights
     error = math.sqrt(max(float(weights @ follow), 0.0))
     if error == 0.0:
         return np.zeros(len(covariance.typical))
@@ -495,7 +495,7 @@ def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
     """Unit vectors in typical sizes along which hardly anything is determined, and
     the singular value of each, 0 of null directions."""
     sizes = covariance.typical[covariance.open]
-    scaled = covariance.confined.scaled[:, covariance.open]
+    scaled = covariance.unconfined.scaled[:, covariance.open]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
     weak = visible(singular) & (singular < 1 / _FAINT)
     loose = [

@@ -95,7 +95,8 @@ class Determined(Entry):
     ----------
     rank : number of directions in the space of the free parameters that the data
         determine.
-    singular_values : of the Jacobian in typical sizes, largest first.
+    singular_values : of the Jacobian in typical sizes, those of the `rank` determined
+        directions first.
     null_directions : directions along which the residuals stay the same, as weights by
         name of the parameter.
     """

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from curlfit.inference.information.derived import Derived, Quantiles
+from curlfit.inference.derived.quantiles import Quantiles
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.information.verdict import Verdict
 from curlfit.output.table import Column
 from curlfit.output.text import judged, labelled

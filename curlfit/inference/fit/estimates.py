@@ -10,6 +10,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from curlfit.friction import Parameter
+from curlfit.inference.derived.quantiles import Quantiles
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.fit.estimate_columns import (
     HIGH,
     LOW,
@@ -21,7 +23,6 @@ from curlfit.inference.fit.estimate_columns import (
     EstimateRow,
 )
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.information.derived import Derived, Quantiles
 from curlfit.inference.information.intervals import WithInterval
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.conditions import CALIBRATION, is_calibration

@@ -114,7 +114,9 @@ def _fit(
         reference_fits = _reference_fits(outcome, result, result.reference)
         result = replace(result, reference_fits=reference_fits)
     not_determined = [
-        name for name, estimate in result.parameters.items() if estimate.verdict.is_open
+        name
+        for name, estimate in result.parameters.items()
+        if estimate.verdict.is_left_open
     ]
     if not_determined:
         measurements = remedies(outcome, not_determined, request.held)

@@ -16,7 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.information.derived import Derived, FirstOrder, derive
+from curlfit.inference.derived.derive import derive
+from curlfit.inference.derived.first_order import FirstOrder
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.information.ridge_information import demanded_errors
 from curlfit.inference.information.thresholds import INTERVAL
 from curlfit.inference.information.verdict import Verdict
@@ -92,7 +94,7 @@ def _factors(known: FirstOrder, rises: Floats) -> list[_Factor]:
     names = [
         name
         for name, item in known.parameters.items()
-        if (item.verdict.is_open or item.verdict == Verdict.AT_BOUND)
+        if (item.verdict.is_left_open or item.verdict == Verdict.AT_BOUND)
         and name not in _POSITIONS
     ]
     along = {name: np.array([point[name] for point in points]) for name in names}

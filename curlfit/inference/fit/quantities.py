@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.friction import Parameter
+from curlfit.inference.derived.assessed import assessed
+from curlfit.inference.derived.quantity import Derived, with_quantiles
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import with_condition_off
-from curlfit.inference.information.derived import Derived, with_quantiles
 from curlfit.inference.model.conditions import CONDITIONS
 from curlfit.inference.model.likelihood import predict_channels
 from curlfit.numerics.arrays import Floats
@@ -182,8 +183,13 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
             name: first_order.widths[name] * slope
             for name, slope in by_condition.items()
         }
-        quantity = first_order.assess(
-            definition.name, value, by_parameter, changes, held_counts=False
+        quantity = assessed(
+            first_order,
+            definition.name,
+            value,
+            by_parameter,
+            changes,
+            held_counts=False,
         )
         # Under a law that cannot curl a stone, the path contains no information
         # on the curl.

@@ -17,6 +17,9 @@ import numpy as np
 from curlfit.errors import InputError, require_kind
 from curlfit.findings import Finding
 from curlfit.friction import Law, Parameter, check_load, find_law
+from curlfit.inference.derived.derive import derive
+from curlfit.inference.derived.first_order import FirstOrder
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.fit.entries import (
     AnyNoise,
     ChannelName,
@@ -37,7 +40,6 @@ from curlfit.inference.fit.estimates import (
     Systematics,
 )
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.information.derived import Derived, FirstOrder, derive
 from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.conditions import CONDITIONS

@@ -11,6 +11,7 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.foreign import counted
+from curlfit.inference.derived.derive import derive
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.change_points import with_change
 from curlfit.inference.fit.covariance import (
@@ -45,7 +46,6 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.information.bounds import Bounded
-from curlfit.inference.information.derived import derive, gradient_of
 from curlfit.inference.information.information import Information, Marginal
 from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.thresholds import CONVERGED
@@ -608,7 +608,7 @@ def _record(
 
 def _information_of(covariance: FitCovariance) -> GaussNewtonInformation:
     """What is said of the free parameters to first order, for the record."""
-    information = covariance.confined.only(covariance.free)
+    information = covariance.unconfined.only(covariance.free)
     return GaussNewtonInformation(
         names=information.names,
         matrix=information.normal_matrix,
@@ -625,7 +625,7 @@ def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult
         return result
     shifts_of_products = {}
     for product in products:
-        gradient = gradient_of(first_order, product.expression)
+        gradient = first_order.gradient_of(product.expression)
         shifts_of_products[product.expression] = {
             condition: first_order.across(gradient, shift)
             for condition, shift in shifts.items()

@@ -7,13 +7,12 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from curlfit.inference.information.directions import inverted, visible
+from curlfit.inference.information.thresholds import LOOSE
 from curlfit.numerics.arrays import Booleans, Floats
 
-WEAK = 1.0
-"""Singular value below which a direction is known to no better than typical sizes."""
 # standard errors within the bounds, below which these determine a direction
 _ROOM = 0.1
-_NO_PART = 1e-9  # component of a direction that is rounding error
+_ROUNDING = 1e-9  # component of a direction that is rounding error
 _WIDEST = 1e3  # typical sizes, beyond which nothing is known
 _FAR = 30.0  # standard deviations above its mean, where a cut normal is an exponential
 
@@ -31,19 +30,27 @@ class Bounded(NamedTuple):
         infinite = np.full(np.shape(values), np.inf)
         return cls(values, -infinite, infinite)
 
-    def confine(self, right: Floats, singular: Floats, typical: Floats) -> Booleans:
-        """Which weakly determined directions, rows of `right` in scaled parameters,
-        have so little room within the bounds, compared with their standard error
-        1/`singular`, that only the bounds limit them."""
-        step = right * typical / np.maximum(singular, 1e-300)[..., None]
-        moved = (self.upper > self.lower)[..., None, :] & (np.abs(right) > _NO_PART)
+    def alone_limit(
+        self, directions: Floats, singular: Floats, typical: Floats
+    ) -> Booleans:
+        """Which loosely determined directions only the bounds limit: those with less
+        room within the bounds than a tenth of their standard error, 1/`singular`.
+
+        Parameters
+        ----------
+        directions, singular : in scaled parameters, shape (..., directions, parameters)
+            and (..., directions).
+        """
+        step = directions * typical / np.maximum(singular, 1e-300)[..., None]
+        is_free = (self.upper > self.lower)[..., None, :]
+        moved = is_free & (np.abs(directions) > _ROUNDING)
         below = np.where(moved, (self.values - self.lower)[..., None, :], np.inf)
         above = np.where(moved, (self.upper - self.values)[..., None, :], np.inf)
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size
         is_narrow: Booleans = forward.min(-1) + backward.min(-1) < _ROOM
-        return is_narrow & (singular < WEAK)
+        return is_narrow & (singular < LOOSE)
 
 
 def spread_at_bounds(
@@ -60,16 +67,17 @@ def spread_at_bounds(
 
     Parameters
     ----------
-    rows, rows_at_bound : columns of the open parameters and of those at a bound, in
-        typical sizes.
+    rows, rows_at_bound : R of the open parameters and R of those at a bound, in typical
+        sizes, shape (n, open) and (n, bounded).
     push : decrease of half of chi squared per typical size beyond the bound, >= 0, for
         each at a bound.
     room : widths of the intervals of bounds of those at a bound, typical sizes.
 
     Returns
     -------
-    the rms distance of each from the bound, and the corresponding change of the open
-    parameters, shape (open, bounded), in typical sizes.
+    the rms distance of each from the bound, shape (bounded,), and how far the open
+    parameters follow it, shape (open, bounded), in typical sizes: columns whose outer
+    products are the covariance that this adds.
     """
     from scipy.special import log_ndtr  # slow to load
 

@@ -12,25 +12,26 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import compress
 
 import numpy as np
 
 from curlfit.inference.information.intervals import WithInterval
+from curlfit.inference.information.thresholds import LITTLE_PART, NO_PART
 from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
-NO_PART = 1e-3
-"""Share of a direction below which a parameter takes no part in it."""
-LITTLE_PART = 0.05
-"""The same for a direction that is weakly determined."""
-_WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
+_DENOMINATORS = np.arange(1.0, 7)[:, None, None]
+"""Of the simple ratios to which weights are rounded."""
+_WHOLE_NUMBERS = _DENOMINATORS[:1]
 
 
 @dataclass(frozen=True)
 class Combination(WithInterval):
     """A determined weighted sum of parameters that are not determined individually.
 
-    `dof` is the number of degrees of freedom of `stderr`; None where sigma was given.
+    `weights` are the factors of the parameters in the sum; `dof` is the number of
+    degrees of freedom of `stderr`, None where sigma was given.
     """
 
     expression: str
@@ -49,52 +50,97 @@ def with_combinations(
     names: Sequence[str], samples: Floats, combinations: Iterable[Combination]
 ) -> dict[str, Floats]:
     """Samples (..., parameters) by the name of the parameter, and by combination."""
-    found = {name: samples[..., place] for place, name in enumerate(names)}
+    by_name = {name: samples[..., place] for place, name in enumerate(names)}
     sums = {
-        item.expression: np.sum(
-            [weight * found[name] for name, weight in item.weights.items()], 0
+        combination.expression: np.sum(
+            [weight * by_name[name] for name, weight in combination.weights.items()], 0
         )
-        for item in combinations
+        for combination in combinations
     }
-    return found | sums
+    return by_name | sums
 
 
 def combinations_of(
     null: Floats,
-    loose: Floats,
+    loose_errors: Floats,
     weak: Booleans,
     names: Sequence[str],
     values: Floats,
     typical: Floats,
     covariance: Floats,
 ) -> tuple[Combination, ...]:
-    """Determined combinations of the weak parameters, from the directions that are not
-    determined and those that are weakly, times the standard errors along these.
-    Weights near whole numbers become these where that makes no variance more than
-    twice as large."""
+    """Determined combinations of the weak parameters.
+
+    These are sums that do not move along the directions that are not determined, nor
+    along those that are loosely. First they are sought as sums with whole weights, for
+    which parts of 5 % in a loose direction, and of a weight, are forgiven. Where such a
+    sum moves along a null direction after all, or where the loose directions make up
+    more than half of its variance, the sums are taken with weights as they are, but for
+    simple ratios.
+
+    Parameters
+    ----------
+    null : directions that are not determined, in typical sizes, shape
+        (directions, parameters).
+    loose_errors : directions that are loosely determined, each times the standard error
+        along it, shape (directions, parameters).
+    weak : which parameters take part in these, shape (parameters,).
+    covariance : of all parameters, in their units.
+    """
     if not weak.any():
         return ()
-    unit = loose / np.linalg.norm(loose, axis=-1, keepdims=True)
-    for least, wholes in ((LITTLE_PART, _WHOLE[:1]), (0.0, _WHOLE)):
-        dim = np.concatenate([null, np.where(np.abs(unit) > least, unit, 0.0)])
-        _, size, rows = np.linalg.svd((dim * typical)[:, weak])
-        rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
-        rows = tidy_basis(rows[rank:], None, least or NO_PART, wholes)
-        vectors = np.zeros((len(rows), len(names)))
-        vectors[:, weak] = rows
-        variances = ((vectors @ covariance) * vectors).sum(-1)
-        scaled = vectors * typical
-        if (
-            np.abs(scaled @ null.T) < NO_PART * np.linalg.norm(scaled, axis=1)[:, None]
-        ).all() and (2 * (scaled @ loose.T) ** 2 <= variances[:, None]).all():
-            break
-    sums: dict[str, Combination] = {}
-    for row, vector, variance in zip(rows, vectors, variances, strict=True):
-        weights, stderr = named(row, names, weak), math.sqrt(variance)
-        if len(weights) > 1 and stderr < typical[weak].max():
-            text, value = expression(weights), float(vector @ values)
-            sums.setdefault(text, Combination(text, weights, value, stderr))
-    return tuple(sums.values())
+    loose = loose_errors / np.linalg.norm(loose_errors, axis=-1, keepdims=True)
+    without_little = np.where(np.abs(loose) > LITTLE_PART, loose, 0.0)
+    weights = _weights_of_sums(
+        np.concatenate([null, without_little]) * typical,
+        weak,
+        LITTLE_PART,
+        _WHOLE_NUMBERS,
+    )
+    variances = ((weights @ covariance) * weights).sum(-1)
+    in_typical_sizes = weights * typical
+    moves = np.abs(in_typical_sizes @ null.T)
+    sizes = np.linalg.norm(in_typical_sizes, axis=1, keepdims=True)
+    loose_variances = (in_typical_sizes @ loose_errors.T) ** 2
+    if (moves >= NO_PART * sizes).any() or (
+        2 * loose_variances > variances[:, None]
+    ).any():
+        weights = _weights_of_sums(
+            np.concatenate([null, loose]) * typical, weak, NO_PART, _DENOMINATORS
+        )
+        variances = ((weights @ covariance) * weights).sum(-1)
+    largest = typical[weak].max()
+    combinations: dict[str, Combination] = {}
+    for row, variance in zip(weights, variances, strict=True):
+        by_name = named(row[weak], names, weak)
+        stderr = math.sqrt(variance)
+        if len(by_name) < 2 or stderr >= largest:
+            continue
+        text = expression(by_name)
+        combination = Combination(text, by_name, float(row @ values), stderr)
+        combinations.setdefault(text, combination)
+    return tuple(combinations.values())
+
+
+def _weights_of_sums(
+    avoided: Floats, weak: Booleans, close: float, denominators: Floats
+) -> Floats:
+    """Weights of sums of the weak parameters that do not move along some directions,
+    shape (sums, parameters).
+
+    Parameters
+    ----------
+    avoided : changes of the parameters along these directions, in their units: sums
+        with weights orthogonal to them stay.
+    close, denominators : how weights are rounded, see `tidy_basis`.
+    """
+    _, singular, axes = np.linalg.svd(avoided[:, weak])
+    rounding = max(len(avoided), weak.sum()) * np.finfo(float).eps
+    rank = (singular > singular[0] * rounding).sum()
+    basis = tidy_basis(axes[rank:], None, close, denominators)
+    weights = np.zeros((len(basis), len(weak)))
+    weights[:, weak] = basis
+    return weights
 
 
 def expression(weights: dict[str, float]) -> str:
@@ -103,74 +149,86 @@ def expression(weights: dict[str, float]) -> str:
     text = ""
     for name, weight in sorted(weights.items(), key=lambda item: item[1] < 0):
         size = abs(weight)
-        factor = "" if size == 1 else f"{Fraction(size).limit_denominator(12)} "
-        if factor and abs(Fraction(size).limit_denominator(12) - size) > 1e-9:
+        ratio = Fraction(size).limit_denominator(12)
+        if size == 1:
+            factor = ""
+        elif abs(ratio - size) > 1e-9:
             factor = f"{size:.4g} "
-        sign = (
-            ("- " if weight < 0 else "")
-            if not text
-            else (" - " if weight < 0 else " + ")
-        )
+        else:
+            factor = f"{ratio} "
+        if not text:
+            sign = "- " if weight < 0 else ""
+        else:
+            sign = " - " if weight < 0 else " + "
         text += f"{sign}{factor}{name}"
     return text
 
 
 def tidy_basis(
-    rows: Floats,
+    axes: Floats,
     scale: Floats | None,
     close: float = NO_PART,
-    wholes: Floats = _WHOLE,
+    denominators: Floats = _DENOMINATORS,
 ) -> Floats:
     """A basis of the same space in reduced row echelon form, with ratios of small
-    integers where close.
+    integers where close; the largest entry of each vector is 1.
 
     Parameters
     ----------
-    scale : factors of the columns by which components are compared, since those of
-        parameters of other units are no smaller for being small numbers; the same for
-        all if None.
+    axes : vectors that span the space, shape (vectors, parameters).
+    scale : factors by which the components of a direction are compared, those of a
+        parameter with a small unit being no smaller for that; None for weights of sums,
+        which are compared as they stand.
+    close : distance from a ratio, over the largest entry, within which it is taken.
+    denominators : of the ratios, shape (denominators, 1, 1).
     """
-    if not rows.size:
-        return rows
-    scale = np.ones(rows.shape[1]) if scale is None else scale
-    rows = _echelon(rows) if len(rows) > 1 else rows
-    size = np.abs(rows)
-    first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[:, None]
-    rows = rows / np.take_along_axis(rows, first, -1)
-    near = np.round(rows * wholes) / wholes
-    off = np.abs(near - rows)
-    near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
-    share = off.min(0) * scale / scale[first]
-    return np.where(share < close, near, rows)
+    if not axes.size:
+        return axes
+    scale = np.ones(axes.shape[1]) if scale is None else scale
+    axes = _echelon(axes) if len(axes) > 1 else axes
+    sizes = np.abs(axes)
+    largest = np.argmax(sizes > 0.999 * sizes.max(-1, keepdims=True), -1)[:, None]
+    axes = axes / np.take_along_axis(axes, largest, -1)
+    ratios = np.round(axes * denominators) / denominators
+    distances = np.abs(ratios - axes)
+    nearest = np.take_along_axis(ratios, distances.argmin(0)[None], 0)[0]
+    shares = distances.min(0) * scale / scale[largest]
+    return np.where(shares < close, nearest, axes)
 
 
 def _echelon(rows: Floats) -> Floats:
     """Reduced row echelon form of independent rows; the largest entry of a column
     is its pivot."""
     rows = np.array(rows, float)
-    place = 0
+    column = 0
     for row in range(len(rows)):
-        while place < rows.shape[1]:
-            pivot = row + int(np.argmax(np.abs(rows[row:, place])))
-            if abs(rows[pivot, place]) > 1e-6 * np.abs(rows[row:]).max():
+        while column < rows.shape[1]:
+            pivot = row + int(np.argmax(np.abs(rows[row:, column])))
+            if abs(rows[pivot, column]) > 1e-6 * np.abs(rows[row:]).max():
                 break
-            place += 1
-        if place == rows.shape[1]:
+            column += 1
+        if column == rows.shape[1]:
             return rows[:row]
         rows[[row, pivot]] = rows[[pivot, row]]
-        rows[row] /= rows[row, place]
+        rows[row] /= rows[row, column]
         for other in range(len(rows)):
             if other != row:
-                rows[other] -= rows[other, place] * rows[row]
-        place += 1
+                rows[other] -= rows[other, column] * rows[row]
+        column += 1
     return rows
 
 
 def named(row: Floats, names: Sequence[str], where: Booleans) -> dict[str, float]:
-    """Weights other than zero by name, of the parameters `where` a row has them."""
-    chosen = [name for name, take in zip(names, where, strict=True) if take]
+    """Weights other than zero, by name, of some of the parameters.
+
+    Parameters
+    ----------
+    row : weights of these, shape (chosen,).
+    names, where : of all parameters, and which of them these are.
+    """
+    chosen = compress(names, where)
     return {
         name: float(weight)
         for name, weight in zip(chosen, row, strict=True)
-        if abs(weight) > 0
+        if weight != 0.0
     }

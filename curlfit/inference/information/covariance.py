@@ -19,19 +19,29 @@ from curlfit.numerics.arrays import Booleans, Floats
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """First-order uncertainties of parameters at an optimum."""
+    """First-order uncertainties of parameters at an optimum.
+
+    Bounds and the distance to the optimum are judged by the rows of the search, errors
+    and verdicts by those of the estimator, which differ under a robust loss. Errors are
+    those of the tangent: `curlfit.inference.fit.departures` may widen them where chi
+    squared is no quadratic.
+    """
 
     information: Information
     """as the search has it, with the priors"""
-    confined: Information
+    unconfined: Information
     """the same without the directions that only the bounds determine"""
     identifiability: Identifiability
-    """of the open parameters"""
-    of_data: Identifiability
+    """of the open parameters; its covariance gives the errors, and has the spread of
+    the parameters at a bound"""
+    identifiability_of_data: Identifiability
     """the same from the data without the priors"""
     at_bound: Booleans
+    """which parameters the data push against a bound"""
     open: Booleans
-    matrix: Floats
+    """which parameters can move: neither fixed nor held at a bound; one at the end of a
+    ridge that a bound cuts counts as open"""
+    conditional_matrix: Floats
     """covariance of the open parameters while those at a bound stay there"""
     count: int
     """number of values in the data"""
@@ -44,21 +54,21 @@ class Covariance:
         of_data: Information | None = None,
         count: int | None = None,
     ) -> Self:
-        """At the optimum of a problem.
+        """At the optimum of a problem. All three informations are the same but under a
+        robust loss (`estimator`) and with priors (`of_data`).
 
         Parameters
         ----------
         information : whose least squares the search has found.
-        estimator : whose normal equations are those of the estimator, if they differ,
-            as under a robust loss.
+        estimator : whose normal equations are those of the estimator, if they differ.
         of_data : the estimator without the priors, if there are any.
         count : number of values in the data; by default that of the parameters.
         """
         if estimator is None:
             estimator = information
-        confined = information.without_confined()
-        at_bound = confined.at_bound()
-        is_open, spread = confined.open(at_bound)
+        unconfined = information.without_confined()
+        at_bound = unconfined.at_bound()
+        is_open, spread = unconfined.open(at_bound)
         identifiability = Identifiability.of(estimator.only(is_open), spread)
         without_priors = identifiability
         if of_data is not None:
@@ -66,12 +76,12 @@ class Covariance:
         columns = information.typical[is_open][:, None] * spread
         return cls(
             information=information,
-            confined=confined,
+            unconfined=unconfined,
             identifiability=identifiability,
-            of_data=without_priors,
+            identifiability_of_data=without_priors,
             at_bound=at_bound,
             open=is_open,
-            matrix=identifiability.covariance - columns @ columns.T,
+            conditional_matrix=identifiability.covariance - columns @ columns.T,
             count=len(information.names) if count is None else count,
         )
 
@@ -110,13 +120,13 @@ class Covariance:
         """
         held = np.zeros(len(self.names), bool)
         held[[*indices]] = True
-        confined = self.confined.held(held)
-        decrement = float(confined.newton_decrement(confined.movable()))
-        if self.confined is not self.information:
+        unconfined = self.unconfined.held(held)
+        decrement = float(unconfined.newton_decrement(unconfined.movable()))
+        if self.unconfined is not self.information:
             whole = self.information.held(held)
             of_whole = float(whole.newton_decrement(whole.movable()))
             decrement = min(decrement, of_whole)
-        reduced = float((confined.residual**2).sum()) / max(self.count, 1)
+        reduced = float((unconfined.residual**2).sum()) / max(self.count, 1)
         return decrement / math.sqrt(max(reduced, 1.0))
 
     def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
@@ -141,7 +151,7 @@ class Covariance:
     @cached_property
     def _dof_of_parameters(self) -> list[float | None]:
         """Degrees of freedom of the standard errors of the open parameters."""
-        return self.degrees_of_freedom(np.eye(len(self.matrix)))
+        return self.degrees_of_freedom(np.eye(int(self.open.sum())))
 
     def _among_open(self, index: int) -> int:
         """Place of an open parameter among the open ones."""
@@ -157,7 +167,7 @@ class Covariance:
         if stderr is None:
             return None, verdict, None
         if verdict == Verdict.DETERMINED:
-            _, verdict_of_data = self.of_data.classified(among_open)
+            _, verdict_of_data = self.identifiability_of_data.classified(among_open)
             if verdict_of_data != verdict:
                 verdict = Verdict.PRIOR
         return stderr, verdict, self._dof_of_parameters[among_open]
@@ -166,7 +176,7 @@ class Covariance:
         """Shifts of the open parameters from the estimates to the true values, by
         condition; `gradients` are J^T times the change of the residuals by each
         condition."""
-        information = self.confined.only(self.open)
+        information = self.unconfined.only(self.open)
         return {
             condition: information.response(gradient[self.open])
             for condition, gradient in gradients.items()

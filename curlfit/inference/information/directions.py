@@ -1,9 +1,9 @@
 """Directions in parameter space, by how well rows determine them.
 
 Columns of the rows are in typical sizes of the parameters. A singular value s then
-means that the direction is determined to 1/s typical sizes: below 1 it is weakly
-determined; below `_UNSEEN`, or below the rounding error of the largest singular value,
-it is not determined at all.
+means that the direction is determined to 1/s typical sizes: below `LOOSE` it is loosely
+determined; below `UNSEEN`, or below the rounding error of the largest singular value,
+it is not determined at all (`visible` decides).
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.information.thresholds import UNKNOWN, WIDE
+from curlfit.inference.information.thresholds import (
+    NO_PART,
+    UNKNOWN,
+    UNSEEN,
+    WIDE,
+)
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.principal_axes import principal_axes
 
-_UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
 # Squaring costs half the digits, hence about the square root of the rounding error.
 _ROUNDING_OF_SQUARES = 1e-7
-# share of a sum outside the determined directions, above which it is unknown
-_UNDETERMINED = 1e-3
 
 
 def r_factor(matrix: Floats) -> Floats:
@@ -34,7 +36,7 @@ def r_factor(matrix: Floats) -> Floats:
 def visible(singular: Floats) -> Booleans:
     """Which directions the data determine, from the singular values of
     scaled Jacobians."""
-    seen: Booleans = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
+    seen: Booleans = singular > np.maximum(UNSEEN, _ROUNDING * singular[..., :1])
     return seen
 
 
@@ -43,18 +45,22 @@ def inverted(singular: Floats, counts: Booleans) -> Floats:
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
 
-def directions(matrix: Floats, typical: Floats) -> tuple[Floats, Floats, Floats]:
-    """Determined directions and null directions from an information matrix J^T J.
+def directions_of_squares(
+    matrix: Floats, typical: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Determined directions and null directions from an information matrix J^T J, of
+    which half the digits are lost: for what is kept as such a matrix, as in a record.
 
     Returns
     -------
-    seen, singular, null : rows of orthonormal directions in scaled parameters that the
-        data determine, the singular value of each, and rows that span the rest.
+    seen, singular, null : orthonormal directions in scaled parameters that the data
+        determine, shape (directions, parameters), the singular value of each, and
+        directions that span the rest.
     """
-    squared, rows = principal_axes(typical[:, None] * matrix * typical)
+    squared, axes = principal_axes(typical[:, None] * matrix * typical)
     singular = np.sqrt(np.maximum(squared, 0.0))
-    seen = singular > max(_UNSEEN, _ROUNDING_OF_SQUARES * singular[0])
-    return rows[seen], singular[seen], rows[~seen]
+    seen = singular > max(UNSEEN, _ROUNDING_OF_SQUARES * singular[0])
+    return axes[seen], singular[seen], axes[~seen]
 
 
 def standard_error(rows: Floats, weights: Floats) -> float | None:
@@ -71,7 +77,7 @@ def standard_error(rows: Floats, weights: Floats) -> float | None:
     determined = right[seen]
     along = determined @ weights
     rest = np.linalg.norm(weights - determined.T @ along)
-    if rest > _UNDETERMINED * np.linalg.norm(weights):
+    if rest > NO_PART * np.linalg.norm(weights):
         return None
     return float(np.linalg.norm(along / singular[seen]))
 

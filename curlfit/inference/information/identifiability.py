@@ -7,10 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from curlfit.inference.information.bounds import WEAK
 from curlfit.inference.information.combinations import (
-    LITTLE_PART,
-    NO_PART,
     Combination,
     combinations_of,
     named,
@@ -18,7 +15,12 @@ from curlfit.inference.information.combinations import (
 )
 from curlfit.inference.information.directions import inverted, r_factor, visible
 from curlfit.inference.information.information import Information
-from curlfit.inference.information.thresholds import WEAK_ERROR
+from curlfit.inference.information.thresholds import (
+    LITTLE_PART,
+    LOOSE,
+    NO_PART,
+    WEAK_ERROR,
+)
 from curlfit.inference.information.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -29,14 +31,17 @@ class Identifiability:
 
     Attributes
     ----------
-    names : the free parameters, in the order used below.
+    names : the parameters of the Information of which this was made, in its order: at
+        an optimum those that can move, neither fixed nor held at a bound.
     typical : sizes of these.
     rank : number of directions that the data determine.
-    singular_values : of the scaled Jacobian, largest first.
-    null_directions : directions along which the residuals stay the same, as weights by
-        name, the largest being 1.
-    covariance : of the free parameters, along the determined directions only.
-    unseen : for each free parameter, whether it takes part in a null direction.
+    singular_values : of the scaled Jacobian, those of the `rank` determined directions
+        first, then the others, each largest first.
+    null_directions : steps of the parameters along which the residuals stay the same,
+        by name, the largest step being 1.
+    covariance : of the parameters, along the determined directions only, with the
+        spread of parameters at a bound.
+    unseen : for each parameter, whether it takes part in a null direction.
     combinations : what is determined in place of parameters that are not, or
         only weakly.
     """
@@ -52,9 +57,10 @@ class Identifiability:
 
     @classmethod
     def of(cls, information: Information, spread: Floats | None = None) -> Self:
-        """Split the space of the parameters into what the data determine and what
-        they do not. A weakly determined direction along which the bounds leave less
-        room than a tenth of a standard error is not: only the bounds determine it.
+        """Split the space of the parameters, all of which can move, into what the data
+        determine and what they do not. A loosely determined direction along which the
+        bounds leave less room than a tenth of a standard error is not determined: only
+        the bounds limit it.
 
         Parameters
         ----------
@@ -66,37 +72,41 @@ class Identifiability:
         typical = information.typical
         scaled = information.scaled
         count = len(names)
+        # so that the decomposition has all directions, null ones too, and is small
         if len(scaled) > 2 * count:
             scaled = r_factor(scaled)
         elif len(scaled) < count:
             scaled = np.pad(scaled, ((0, count - len(scaled)), (0, 0)))
-        _, all_singular, right = np.linalg.svd(scaled, full_matrices=False)
-        seen = visible(all_singular)
-        seen &= ~information.bounded.confine(right, all_singular, typical)
+        _, singular, axes = np.linalg.svd(scaled, full_matrices=False)
+        seen = visible(singular)
+        seen &= ~information.bounded.alone_limit(axes, singular, typical)
         order = np.argsort(~seen, kind="stable")  # the others last
         seen = seen[order]
-        singular = all_singular[order]
-        right = right[order]
-        inverse = right.T * inverted(singular, seen)
-        scaled_covariance = inverse @ inverse.T
+        singular = singular[order]
+        axes = axes[order]
+        # an axis times its error, as a column; 0 of an axis that is not seen
+        errors = axes.T * inverted(singular, seen)
+        scaled_covariance = errors @ errors.T
         if spread is not None:
             scaled_covariance = scaled_covariance + spread @ spread.T
         covariance = typical[:, None] * scaled_covariance * typical
-        strong = seen & (singular >= WEAK)
-        unseen = _shares(right[~seen]) > NO_PART
-        weak = unseen | (_shares(right[seen & ~strong]) > LITTLE_PART)
-        null = tidy_basis((right[~seen] * typical)[:, unseen], 1 / typical[unseen])
+        loose = seen & (singular < LOOSE)
+        unseen = _shares(axes[~seen]) > NO_PART
+        weak = unseen | (_shares(axes[loose]) > LITTLE_PART)
+        # a change of the parameters along a direction, in their units
+        changes = (axes[~seen] * typical)[:, unseen]
+        null_directions = tidy_basis(changes, 1 / typical[unseen])
         return cls(
             names=names,
             typical=typical,
             rank=int(seen.sum()),
-            singular_values=all_singular,
-            null_directions=tuple(named(row, names, unseen) for row in null),
+            singular_values=singular,
+            null_directions=tuple(named(row, names, unseen) for row in null_directions),
             covariance=covariance,
             unseen=unseen,
             combinations=combinations_of(
-                right[~seen],
-                inverse[:, seen & ~strong].T,
+                axes[~seen],
+                errors[:, loose].T,
                 weak,
                 names,
                 information.values,
@@ -120,7 +130,7 @@ class Identifiability:
         return weights
 
     def classified(self, place: int) -> tuple[float | None, Verdict]:
-        """Standard error, where there is one, and verdict of a free parameter.
+        """Standard error, where there is one, and verdict of a parameter, by its place.
 
         The 95 % interval of a weakly determined parameter reaches its typical size to
         either side.

@@ -1,7 +1,12 @@
 """The noun: what data say of parameters to first order about some values.
 
-All methods act along the leading axes of a stack: the likelihoods of a thousand throws
-are a thousand rows of one array, not a thousand objects.
+Methods act along the leading axes of a stack, but for `open`: the likelihoods of a
+thousand throws are a thousand rows of one array, not a thousand objects.
+
+Which parameters can move has four words here. A parameter is *free* unless its bounds
+are equal, which fixes it; *at its bound* where the data push it against that; *movable*
+unless that push, however weak, keeps it; and *open* if it is free and no bound holds
+it. Parameters that cannot move keep their columns: what counts them too says so.
 """
 
 from __future__ import annotations
@@ -123,8 +128,13 @@ class Information:
         return self._with(widened)
 
     def with_rows(self, rows: Floats) -> Self:
-        """This and rows of other knowledge, such as priors, about the same values: in
-        the units of the parameters, with the residual as the last column."""
+        """This and rows of other knowledge, such as priors, about the same values.
+
+        Parameters
+        ----------
+        rows : in the units of the parameters, unlike those of an Information, with the
+            residual as the last column.
+        """
         return self._with(rows * np.append(self.typical, 1.0))
 
     def _with(self, rows: Floats) -> Self:
@@ -178,25 +188,27 @@ class Information:
         )
 
     def together(self) -> Self:
-        """What all of a stack say together, if it is about the same values."""
+        """What all along the first axis say together, if about the same values."""
         rows = r_factor(self.rows.reshape(-1, self.rows.shape[-1]))
         return replace(self.at(0), rows=rows)
 
     def of_others(self) -> Self:
-        """What all others of a stack say together, for each: from those before it and
-        those after it, at a cost that is linear in their number."""
+        """What all others along the first axis say together, for each: from those
+        before it and those after it, at a cost that is linear in their number."""
         before = _sums_before(self.rows)
         after = _sums_before(self.rows[::-1])[::-1]
         return replace(self, rows=r_factor(np.concatenate([before, after], -2)))
 
     def without_confined(self) -> Self:
-        """The same without the directions that only the bounds determine."""
+        """The same without the directions that only the bounds determine; itself if
+        there are none."""
         scaled = self.scaled * self.free[..., None, :]
-        _, singular, right = np.linalg.svd(scaled, full_matrices=False)
-        null = self.bounded.confine(right, singular, self.typical) & visible(singular)
-        if not null.any():
+        _, singular, axes = np.linalg.svd(scaled, full_matrices=False)
+        confined = visible(singular)
+        confined &= self.bounded.alone_limit(axes, singular, self.typical)
+        if not confined.any():
             return self
-        axes = right * null[..., None]
+        axes = axes * confined[..., None]
         rows = self.rows.copy()
         rows[..., :-1] -= (scaled @ axes.mT) @ axes
         return replace(self, rows=rows)
@@ -220,15 +232,18 @@ class Information:
         return of_squares
 
     def response(self, gradient: Floats) -> Floats:
-        """Change of the optimum where J^T r changes by a gradient, in the units of the
-        parameters, along determined directions."""
-        _, singular, right = np.linalg.svd(self.scaled, full_matrices=False)
-        inverse = right.T * inverted(singular, visible(singular))
-        return -self.typical * (inverse @ (inverse.T @ (self.typical * gradient)))
+        """Change of the optimum of all parameters where J^T r changes by a gradient,
+        in the units of the parameters: -(J^T J)^-1 times it, along determined
+        directions."""
+        _, singular, axes = np.linalg.svd(self.scaled, full_matrices=False)
+        errors = axes.mT * inverted(singular, visible(singular))[..., None, :]
+        in_typical_sizes = (self.typical * gradient)[..., None]
+        step = errors @ (errors.mT @ in_typical_sizes)
+        return -self.typical * step[..., 0]
 
     def newton_decrement(self, where: Booleans) -> Floats:
-        """Length of the remaining Gauss-Newton step, in sigmas, along
-        determined directions.
+        """Length of the remaining Gauss-Newton step of some parameters, the others
+        being held, in sigmas, along determined directions.
 
         A null direction would have to be followed over a thousand typical sizes.
         """
@@ -278,16 +293,16 @@ class Information:
             return self.free, np.zeros((int(self.free.sum()), 0))
         push = np.abs(self.residual @ self.scaled)
         room = (self.upper - self.lower) / self.typical
-        held = at_bound.copy()
-        for _ in range(2):
-            is_open = self.free & ~held
+        stuck = at_bound.copy()
+        for _ in range(2):  # again, for those that are left when some have come loose
+            is_open = self.free & ~stuck
             distance, spread = spread_at_bounds(
-                self.scaled[:, is_open], self.scaled[:, held], push[held], room[held]
+                self.scaled[:, is_open], self.scaled[:, stuck], push[stuck], room[stuck]
             )
-            loose = distance > _LOOSE
-            if not loose.any():
+            comes_loose = distance > _LOOSE
+            if not comes_loose.any():
                 break
-            held[held] = ~loose
+            stuck[stuck] = ~comes_loose
         return is_open, spread
 
 
@@ -307,8 +322,10 @@ class Marginal:
     """which parameters these are"""
 
     def gradient(self, gradients: Floats) -> Floats:
-        """Gradient of all throws by the parameters of each, from the gradients of each
-        throw by its own; shape (throws, parameters)."""
+        """Gradient of a sum over all throws by the parameters of each, from the
+        gradients of each throw's part by its own parameters, shape (throws,
+        parameters). A change of those in common moves the other parameters of every
+        throw with it (`follow`), so that each throw has the parts of all others too."""
         by_common = (self.follow.mT @ gradients[..., None])[..., 0]
         of_all = gradients.copy()
         of_all[..., self.common] += by_common.sum(0) - by_common

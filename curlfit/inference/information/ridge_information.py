@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.information.directions import directions, visible
+from curlfit.inference.information.directions import directions_of_squares, visible
 from curlfit.inference.information.thresholds import LITTLE
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -72,7 +72,7 @@ def information_along(
         shape (points, parameters).
     rises : of chi squared from the optimum to these points.
     """
-    axes, singular, _ = directions(information, np.ones(len(information)))
+    axes, singular, _ = directions_of_squares(information, np.ones(len(information)))
     rows = singular[:, None] * axes
     # A point within one standard error is where any estimate may be by its noise.
     points = demanded_errors(moves @ rows.T, rises[:, None])

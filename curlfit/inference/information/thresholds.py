@@ -1,12 +1,23 @@
-"""From which error on a parameter or combination is called weak or unknown.
+"""From which singular value, share of a direction or error on something is called weak
+or unknown.
 
-All are in typical sizes of the parameters, or factors between errors.
+Singular values are of rows in typical sizes of the parameters: s means that a direction
+is known to 1/s typical sizes. Errors are in typical sizes, or factors between errors.
 """
 
 from __future__ import annotations
 
 import math
 
+UNSEEN = 1e-3
+"""Singular value below which a direction is not determined: known to no better than a
+thousand typical sizes."""
+LOOSE = 1.0
+"""Singular value below which a direction is known to no better than typical sizes."""
+NO_PART = 1e-3
+"""Share of a direction below which a parameter takes no part in it."""
+LITTLE_PART = 0.05
+"""The same for a direction that is loosely determined."""
 UNKNOWN = 3.0
 """Typical sizes from an estimate, beyond which nothing is known in any case."""
 WEAK_ERROR = 0.5

@@ -13,7 +13,7 @@ class Verdict(StrEnum):
     Examples
     --------
     >>> fit["mu1_eta"].verdict
-    'weak'
+    'not identifiable'
     >>> fit["mu1_eta"].verdict.is_known
     False
     """
@@ -45,6 +45,6 @@ class Verdict(StrEnum):
         return self in (Verdict.DETERMINED, Verdict.PRIOR)
 
     @property
-    def is_open(self) -> bool:
+    def is_left_open(self) -> bool:
         """Whether another measurement might tell what these data leave open."""
         return self in (Verdict.WEAK, Verdict.NOT_IDENTIFIABLE)

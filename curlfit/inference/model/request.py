@@ -13,7 +13,7 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.friction import Law, Load, find_law
-from curlfit.inference.information.derived import check_derived
+from curlfit.inference.derived.derive import check_derived
 from curlfit.inference.model.conditions import WEAK_CONDITIONS, check_systematics
 from curlfit.inference.model.parameters import ParameterSet
 from curlfit.inference.model.priors import Penalty

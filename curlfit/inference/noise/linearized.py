@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from curlfit.inference.information.directions import directions
+from curlfit.inference.information.directions import directions_of_squares
 from curlfit.inference.noise.accelerations import amplitude_root
 from curlfit.noises import Filter, Noise
 from curlfit.numerics.arrays import Booleans, Floats
@@ -76,7 +76,7 @@ class Linearized(NamedTuple):
         adjustable : which parameters are neither fixed nor at a bound.
         """
         own = (weight[..., None] * jacobian * adjustable).reshape(-1, len(typical))
-        rows, singular, _ = directions(own.T @ own, typical)
+        rows, singular, _ = directions_of_squares(own.T @ own, typical)
         missing = ((0, 0), (0, len(typical) - len(rows)))
         from_standard = np.pad(typical[:, None] * rows.T / singular, missing)
         to_standard = np.pad((singular[:, None] * rows / typical).T, missing).T

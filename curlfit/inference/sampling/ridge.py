@@ -22,7 +22,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction.base import START_NAMES
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.information.directions import directions
+from curlfit.inference.information.directions import directions_of_squares
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.parameters import ParameterSet
 from curlfit.inference.solve.least_squares import Solution, Tasks, minimize_many
@@ -178,7 +178,7 @@ def _about(
     block = information[np.ix_(open_, open_)]
     seen, singular, null = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     if len(open_):  # not all of the others at a bound
-        seen, singular, null = directions(block, np.ones(len(open_)))
+        seen, singular, null = directions_of_squares(block, np.ones(len(open_)))
         width = (upper - lower)[open_]
         share = (np.abs(seen) / width).max(1, initial=0.0)
         level = singular < _LEVEL * share
@@ -314,7 +314,7 @@ class Axis(NamedTuple):
         columns = dict(zip(fit.parameters, points.T, strict=True))
         held = {point.held for point in fit.ridge if point.held is not None}
         moving = held or {*fit.parameter_set.names_where(fit.parameter_set.free)}
-        open_ = {name for name in moving if fit.parameters[name].verdict.is_open}
+        open_ = {name for name in moving if fit.parameters[name].verdict.is_left_open}
         extents = {
             name: float(np.ptp(columns[name])) / fit.parameters[name].typical
             for name in open_ or moving

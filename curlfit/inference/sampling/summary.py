@@ -16,10 +16,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from curlfit.errors import InputError
+from curlfit.inference.derived.quantiles import quantiles_of
 from curlfit.inference.fit.estimates import Posterior
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.combinations import with_combinations
-from curlfit.inference.information.derived import quantiles_of
 from curlfit.inference.sampling.chain import Chain, load_chain
 from curlfit.numerics.arrays import Floats
 

@@ -14,7 +14,7 @@ import numpy as np
 from curlfit.errors import InputError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
-from curlfit.inference.information.derived import Quantiles
+from curlfit.inference.derived.quantiles import Quantiles
 from curlfit.inference.information.intervals import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import MixedFit, bounded, to_mean

@@ -239,7 +239,7 @@ class LinearizedThrows(NamedTuple):
         normal = model.parts(model.marginal(spreads**2)[0].sum(0))[0][:size, :size]
         squares, axes = np.linalg.eigh(normal)
         within = Bounded(np.zeros(size), lower, upper)
-        hidden = axes[:, within.confine(axes.T, np.sqrt(squares), np.ones(size))]
+        hidden = axes[:, within.alone_limit(axes.T, np.sqrt(squares), np.ones(size))]
         found: Floats = (np.eye(size) - hidden @ hidden.T) @ free
         return found
 

@@ -9,7 +9,7 @@ from typing import Any
 from curlfit.errors import InputError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law
-from curlfit.inference.information.derived import check_derived
+from curlfit.inference.derived.derive import check_derived
 from curlfit.inference.model.request import Request
 from curlfit.inference.together.effects import Covariates
 from curlfit.inference.together.evening import with_usual_priors

@@ -15,10 +15,12 @@ from curlfit.errors import DataError, InputError
 from curlfit.findings import Finding
 from curlfit.foreign import file_and_number, safe_name
 from curlfit.friction import Law, find_law
+from curlfit.inference.derived.derive import derive
+from curlfit.inference.derived.quantiles import Quantiles
+from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
 from curlfit.inference.fit.result import FitResult, load_fit
 from curlfit.inference.information.combinations import Combination
-from curlfit.inference.information.derived import Derived, Quantiles, derive
 from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.model.parameters import START
 from curlfit.inference.sampling.chain import Chain, digest, load_chain

@@ -10,10 +10,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.special import stdtr
 
+from curlfit.inference.derived.quantiles import Quantiles, quantiles_of
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.information.covariance import Covariance
-from curlfit.inference.information.derived import Quantiles, quantiles_of
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.parameters import START
 from curlfit.inference.sampling.chain import Chain
