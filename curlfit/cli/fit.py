@@ -179,7 +179,7 @@ def _fit_one(
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import claim_folder
 
-    request = job.request
+    request = job.request  # every choice is checked here, before JAX is loaded
     folder = output.out or usual
     seed = job.seed if sampling.seed is None else sampling.seed
     saved = _saved_fit(folder, request) if sampling.resume else None

@@ -51,7 +51,9 @@ class BoundedDescent(optx.AbstractDescent):
     """The damped step within the bounds, by active sets.
 
     A parameter at a bound that is pushed against it is held there. One that would pass
-    its bound is set to the bound, and the others are solved for again.
+    its bound is set to the bound, and the others are solved for again. A parameter with
+    equal bounds is fixed: it is held throughout, and its column of the Jacobian is
+    not used.
     """
 
     lower: Array

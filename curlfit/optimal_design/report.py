@@ -30,7 +30,7 @@ from curlfit.optimal_design.throw_columns import (
 )
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.table import Column, Table
-from curlfit.output.text import judged, labelled, stone_text
+from curlfit.output.text import coloured_verdict, labelled, stone_text
 from curlfit.stone import Stone
 from curlfit.wording import join_words, lower, two_digits
 
@@ -223,7 +223,7 @@ def _best(design: Design) -> Table[str]:
         Column(
             "verdict",
             lambda name: first.verdicts.get(name, Verdict.DETERMINED),
-            judged,
+            coloured_verdict,
         )
     )
     return Table(

@@ -23,7 +23,7 @@ _OTHER_SIDE = {
 }
 
 
-def judged(verdict: str) -> Text:
+def coloured_verdict(verdict: str) -> Text:
     """A verdict on a parameter in its colour."""
     return Text(verdict, style=STYLE[verdict])
 

@@ -271,3 +271,11 @@ def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
     expected = weight * other.value + (1 - weight) * 0.06
     assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
     assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
+
+
+def test_what_a_throw_fixes_counts_when_nothing_is_left_to_fit(throw):
+    """The angle of a throw without one is no parameter that could be left."""
+    without_angle = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y)
+    start = {"x0": 0.0, "y0": 0.0, "heading": 0.0, "v0": 2.0, "omega0": 1.0}
+    with pytest.raises(InputError, match="nothing is left to fit"):
+        curlfit.fit(without_angle, "coulomb", fix={"mu": 0.01, **start})

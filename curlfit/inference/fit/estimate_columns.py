@@ -10,7 +10,7 @@ from curlfit.inference.derived.quantiles import Quantiles
 from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.information.verdict import Verdict
 from curlfit.output.table import Column
-from curlfit.output.text import judged, labelled
+from curlfit.output.text import coloured_verdict, labelled
 from curlfit.wording import format_estimate, from_to
 
 
@@ -105,7 +105,7 @@ SYSTEMATIC = EstimateColumn("systematic", format=".2g", right=True)
 LOW = EstimateColumn("low", lambda row: row.interval[0], key="low_95")
 HIGH = EstimateColumn("high", lambda row: row.interval[1], key="high_95")
 DOF = EstimateColumn("dof", lambda row: row.estimate.dof)
-VERDICT = EstimateColumn("verdict", lambda row: row.estimate.verdict, judged)
+VERDICT = EstimateColumn("verdict", lambda row: row.estimate.verdict, coloured_verdict)
 UNIT = EstimateColumn("unit")
 PRIOR = EstimateColumn("prior")
 POSTERIOR = EstimateColumn(

@@ -119,7 +119,7 @@ def _fit(
         if estimate.verdict.is_left_open
     ]
     if not_determined:
-        measurements = remedies(outcome, not_determined, request.held)
+        measurements = remedies(outcome, not_determined, request.fixed_by_user)
         result = replace(result, remedies=measurements)
     return result
 

@@ -827,12 +827,13 @@ def _estimates(
         name = parameter.name
         stderr = None
         verdict = Verdict.FIXED
+        reason = ""
         dof = None
         if name not in parameters.fixed:
             stderr, verdict, dof = covariance.classified(index)
-        stderr, verdict, reason = departures.judged(
-            name, stderr, verdict, parameter.typical
-        )
+            stderr, verdict, reason = departures.judged(
+                name, stderr, verdict, parameter.typical
+            )
         if verdict == Verdict.DETERMINED and name in rival:
             verdict = Verdict.WEAK
             reason = f"{rival[name]:.3g} fits as well"

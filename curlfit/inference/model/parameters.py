@@ -59,7 +59,9 @@ class ParameterSet:
     """All parameters of a fit in order, and the values of fixed ones.
 
     Coefficients come first, then the conditions that are parameters, then the
-    initial state.
+    initial state. A fixed parameter is in `fixed`, by which records and verdicts know
+    it, and has equal bounds, by which the solver and its information know it: `build`
+    and `with_fixed` set both.
     """
 
     parameters: tuple[Parameter, ...]
@@ -74,7 +76,7 @@ class ParameterSet:
         fix: Mapping[str, float] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         unbounded: bool = False,
-        free: Iterable[str] = (),
+        free: Collection[str] = (),
         priors: Mapping[str, str] | None = None,
         swept: bool = False,
     ) -> ParameterSet:
@@ -102,11 +104,12 @@ class ParameterSet:
             left to fit.
         """
         prior_by_name = parse_priors(priors or {})
+        limits = bounds or {}
         fixed = {name: float(value) for name, value in (fix or {}).items()}
         estimated = {*free, *prior_by_name}
         coefficients = law.coefficients()
-        named = (*fixed, *(bounds or {}), *free, *prior_by_name)
-        _require_named(law, named)
+        _require_named(law, fix=fixed, bounds=limits, free=free, priors=prior_by_name)
+        named = {*fixed, *limits, *estimated}
         if "sweep" in named and not swept:
             raise InputError(
                 "sweep is a parameter only of a swept stone; expected also `swept`, "
@@ -118,7 +121,8 @@ class ParameterSet:
         for parameter in coefficients:
             if parameter.optional and parameter.name not in named:
                 fixed[parameter.name] = parameter.default
-        named = (*named, "sweep") if swept else named
+        if swept:
+            named.add("sweep")
         if unbounded:
             coefficients = tuple(
                 coefficient.unbounded() for coefficient in coefficients
@@ -126,12 +130,11 @@ class ParameterSet:
         conditions = [condition for condition in CONDITIONS if condition.name in named]
         possible = (*coefficients, *conditions, *START)
         parameters = tuple(
-            _limited(parameter, bounds or {}, prior_by_name, fixed)
-            for parameter in possible
+            _limited(parameter, limits, prior_by_name, fixed) for parameter in possible
         )
-        if len(fixed) == len(parameters):
-            raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(parameters, fixed, prior_by_name)
+        parameter_set = cls(parameters, fixed, prior_by_name)
+        parameter_set._require_free()
+        return parameter_set
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -170,7 +173,10 @@ class ParameterSet:
             if name not in parameters.fixed:
                 parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
         if not throw.has_path:
-            return parameters._with_heading_of_events(law, throw, named)
+            parameters = parameters._with_heading_of_events(law, throw, named)
+            parameters._require_free()
+            return parameters
+        parameters._require_free()
         free = int(parameters.free.sum())
         rows = int(throw.finite.any(0).sum())
         needed = max(free, FEWEST_ROWS)
@@ -252,6 +258,10 @@ class ParameterSet:
         """Names of the parameters that a mask picks out."""
         return [name for name, take in zip(self.names, mask, strict=True) if take]
 
+    def _require_free(self) -> None:
+        if not self.free.any():
+            raise InputError("every parameter is fixed; nothing is left to fit")
+
     def require(self, option: str, names: Iterable[str]) -> None:
         """Raise `InputError` if one of the names is not that of a parameter."""
         for name in names:
@@ -280,15 +290,18 @@ class ParameterSet:
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
 
-def _require_named(law: type[Law], names: Iterable[str]) -> None:
-    for name in names:
-        if name not in parameter_names(law):
-            of_law = [parameter.name for parameter in (*law.coefficients(), *START)]
-            conditions = [condition.name for condition in CONDITIONS]
-            raise InputError(
-                f"law {law.name} has no parameter {quoted(name)}; it has "
-                f"{', '.join(of_law)}; conditions are {', '.join(conditions)}"
-            )
+def _require_named(law: type[Law], **names_by_choice: Iterable[str]) -> None:
+    """Raise `InputError` if a choice names what is no parameter of a fit of a law."""
+    possible = parameter_names(law)
+    for choice, names in names_by_choice.items():
+        for name in names:
+            if name not in possible:
+                of_law = [parameter.name for parameter in (*law.coefficients(), *START)]
+                conditions = [condition.name for condition in CONDITIONS]
+                raise InputError(
+                    f"{choice}: law {law.name} has no parameter {quoted(name)}; it has "
+                    f"{', '.join(of_law)}; conditions are {', '.join(conditions)}"
+                )
 
 
 def _limited(
@@ -325,7 +338,7 @@ def _limited(
         if not lower <= value <= upper:
             raise InputError(
                 f"{name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
-                + ("" if name in limits else "; set others to fix it there")
+                + ("" if name in limits else "; give it wider bounds to fix it there")
             )
         lower = upper = value
     if (lower, upper) == (parameter.lower, parameter.upper):

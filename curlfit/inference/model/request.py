@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.findings import Finding
 from curlfit.friction import Law, Load, find_law
 from curlfit.inference.derived.derive import check_derived
@@ -43,7 +44,8 @@ class Request:
     rows : `since`, `until` and `exclude`, by which these rows were selected.
     swept : times between which the stone was swept, s; None without.
     start : initial values, by name.
-    held : parameters that the user holds at a value, by name.
+    fixed_by_user : values of parameters that the user fixes, by name. The fit takes
+        them from `parameters`; advice on further measurements takes them from here.
     systematics : standard uncertainties of conditions that are held, by name.
     derive : derived quantities, as text.
     findings : what is unusual about the throw.
@@ -60,7 +62,7 @@ class Request:
     rows: Mapping[str, Any]
     swept: tuple[float, float] | None
     start: Mapping[str, float] = field(default_factory=dict)
-    held: Mapping[str, float] = field(default_factory=dict)
+    fixed_by_user: Mapping[str, float] = field(default_factory=dict)
     systematics: Mapping[str, float] = field(default_factory=dict)
     derive: Sequence[str] = ()
     findings: tuple[Finding, ...] = ()
@@ -115,7 +117,7 @@ class Request:
             rows=chosen.rows,
             swept=chosen.swept,
             start=chosen.start,
-            held=chosen.fix,
+            fixed_by_user=chosen.fix,
             **of_fit,
             findings=findings,
             flags=(*used.read_with, *chosen.words()),
@@ -162,7 +164,7 @@ class Request:
         return dict.fromkeys(unknown, equal)
 
     def with_given_start(self, values: Floats) -> Floats:
-        """Initial values, with those that the user gives."""
+        """Initial values, with those that the user gives, within the bounds."""
         if not self.start:
             return values
         values = values.copy()
@@ -192,6 +194,11 @@ def require_names(chosen: Modelling, parameters: ParameterSet) -> None:
     """Raise `InputError` where an initial value, a systematic error or a derived
     quantity names what is no parameter or condition."""
     parameters.require("start", chosen.start)
+    for name in chosen.start:
+        if name in chosen.fix:
+            raise InputError(
+                f"start: {name} is fixed; expected initial values of what is estimated"
+            )
     if isinstance(chosen, Fitting):
         check_systematics(chosen.systematics)
         check_derived(chosen.derive, parameters.names)
