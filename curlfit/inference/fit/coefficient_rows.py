@@ -4,7 +4,6 @@ parameters are: rows for fits of many throws, and for tables of `curlfit batch`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from curlfit.inference.information.directions import (
     directions_of_squares,
     standard_error,
 )
+from curlfit.inference.information.information import Information
 from curlfit.inference.information.ridge_information import information_along
 from curlfit.inference.information.thresholds import WEAK_ERROR
-from curlfit.numerics.arrays import Booleans, Floats
-
-# eigenvalue over the largest, of information in typical sizes, that is not rounding
-_SEEN = 1e-10
+from curlfit.numerics.arrays import Floats
 
 # share of a coefficient in what the data cannot tell in any case
 _HARDLY_TOLD = 0.5
@@ -39,24 +36,9 @@ def coefficient_rows(fit: FitResult, names: Sequence[str] | None = None) -> Floa
     with what they then give as the last column, shape
     (coefficients, coefficients + 1); errors are one."""
     names = list(fit.coefficients) if names is None else names
-    free, typical, matrix, gradient = _information_in_typical_sizes(fit)
-    wanted = _among(free, names)
-    # Whatever the other parameters are: the Schur complement.
-    inverse = np.linalg.pinv(matrix[~wanted][:, ~wanted], hermitian=True)
-    follow: Any = matrix[wanted][:, ~wanted] @ inverse
-    reduced = matrix[wanted][:, wanted] - follow @ matrix[~wanted][:, wanted]
-    reduced_gradient = gradient[wanted] - follow @ gradient[~wanted]
-    squares, axes = np.linalg.eigh(reduced)
-    seen = squares > _SEEN * squares.max(initial=0.0)
-    root = np.sqrt(squares[seen])
-    directions_seen = axes[:, seen].T
-    slopes = directions_seen * root[:, None] / typical[wanted]
-    steps = directions_seen @ reduced_gradient / root
-    rows = _padded(fit, np.column_stack([slopes, steps]), names)
-    values = np.array([fit.parameters[name].value for name in names])
-    count = len(steps)
-    rows[:count, -1] += rows[:count, :-1] @ values
-    return rows
+    information = _information_of(fit)
+    told = information.marginal(np.isin(information.names, names)).information
+    return _as_table(told.along_axes(), names)
 
 
 def coefficient_rows_along_ridge(
@@ -67,19 +49,12 @@ def coefficient_rows_along_ridge(
     `coefficient_rows`, of which the second are as wide as the ridge, each of shape
     (coefficients, coefficients + 1)."""
     names = list(fit.coefficients) if names is None else names
-    free, typical, matrix, gradient = _information_in_typical_sizes(fit)
+    information = _information_of(fit)
+    moves = _moves_along_ridge(fit, information.names) / information.typical
     rises = np.array([point.rise for point in fit.ridge])
-    moves = _moves_along_ridge(fit, free) / typical
-    step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
-    wanted = _among(free, names)
-    kept, stretched = information_along(matrix, moves, rises).of(wanted, step)
-    values = np.array([fit.parameters[name].value for name in names])
-    sizes = np.append(typical[wanted], 1.0)
-    rows_kept = _padded(fit, kept / sizes, names)
-    rows_kept[:, -1] += rows_kept[:, :-1] @ values
-    rows_stretched = _padded(fit, stretched / sizes, names)
-    rows_stretched[:, -1] += rows_stretched[:, :-1] @ values
-    return rows_kept, rows_stretched
+    of_throw = information_along(information, moves, rises)
+    told = of_throw.marginal(np.isin(information.names, names))
+    return _as_table(told.kept, names), _as_table(told.stretched, names)
 
 
 def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
@@ -124,27 +99,26 @@ def _moves_along_ridge(fit: FitResult, names: Sequence[str]) -> Floats:
     return (points.reshape(-1, len(fit.parameters)) - fit.values)[:, places]
 
 
-def _information_in_typical_sizes(
-    fit: FitResult,
-) -> tuple[Sequence[str], Floats, Floats, Floats]:
-    """Names of the free parameters, their typical sizes, and the information matrix
-    and the gradient in these."""
-    names = fit.information.names
-    typical = np.array([fit.parameters[name].typical for name in names])
-    matrix = fit.information.matrix * typical * typical[:, None]
-    gradient = fit.information.gradient * typical
-    return names, typical, matrix, gradient
+def _information_of(fit: FitResult) -> Information:
+    """What a record says of its free parameters, about the estimates."""
+    saved = fit.information
+    estimates = [fit.parameters[name] for name in saved.names]
+    return Information.of_squares(
+        saved.names,
+        np.array([estimate.value for estimate in estimates]),
+        np.array([estimate.typical for estimate in estimates]),
+        saved.matrix,
+        saved.gradient,
+    )
 
 
-def _padded(fit: FitResult, rows: Floats, names: Sequence[str]) -> Floats:
-    """Rows on the free ones of some parameters, with what they give as the last
-    column, as rows on all of these parameters, as many as there are of them."""
-    columns = np.append(_among(names, fit.information.names), True)
-    padded = np.zeros((len(names), len(names) + 1))
-    padded[: len(rows), columns] = rows
-    return padded
-
-
-def _among(names: Sequence[str], others: Sequence[str]) -> Booleans:
-    """Whether each name is among others."""
-    return np.array([name in others for name in names], bool)
+def _as_table(information: Information, names: Sequence[str]) -> Floats:
+    """As many rows as there are names, of which some may be fixed, with what they give
+    as the last column."""
+    count = len(information.rows)
+    places = [names.index(name) for name in information.names]
+    table = np.zeros((len(names), len(names) + 1))
+    table[:count, places] = information.slopes
+    gives = information.slopes @ information.values - information.residual
+    table[:count, -1] = gives
+    return table

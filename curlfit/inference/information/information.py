@@ -19,7 +19,12 @@ from typing import Any, Self
 import numpy as np
 
 from curlfit.inference.information.bounds import Bounded, spread_at_bounds
-from curlfit.inference.information.directions import inverted, r_factor, visible
+from curlfit.inference.information.directions import (
+    directions_of_squares,
+    inverted,
+    r_factor,
+    visible,
+)
 from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
@@ -78,6 +83,22 @@ class Information:
         if rows.shape[-2] > rows.shape[-1]:
             rows = r_factor(rows)
         return cls(tuple(names), *bounded, typical, rows)
+
+    @classmethod
+    def of_squares(
+        cls,
+        names: Sequence[str],
+        values: Floats,
+        typical: Floats,
+        matrix: Floats,
+        gradient: Floats,
+    ) -> Self:
+        """From J^T J and -J^T r, as records have them, of parameters without bounds:
+        one row for each direction that these determine."""
+        axes, singular, _ = directions_of_squares(matrix, typical)
+        residual = -(axes @ (gradient * typical)) / singular
+        rows = np.column_stack([singular[:, None] * axes, residual])
+        return cls(tuple(names), *Bounded.none(values), typical, rows)
 
     @property
     def scaled(self) -> Floats:
@@ -213,6 +234,13 @@ class Information:
         rows[..., :-1] -= (scaled @ axes.mT) @ axes
         return replace(self, rows=rows)
 
+    def along_axes(self) -> Self:
+        """One information by orthogonal rows, one for each determined direction, the
+        best first."""
+        left, singular, axes = np.linalg.svd(self.scaled, full_matrices=False)
+        rows = np.column_stack([singular[:, None] * axes, left.T @ self.residual])
+        return replace(self, rows=rows[visible(singular)])
+
     # ---- what it says
 
     @property
@@ -230,6 +258,11 @@ class Information:
         change = (self.scaled @ (step / self.typical)[..., None])[..., 0]
         of_squares: Floats = (change * (change + 2 * self.residual)).sum(-1)
         return of_squares
+
+    def step_to_optimum(self) -> Floats:
+        """Change of all parameters to the least chi squared, along determined
+        directions, without regard to bounds."""
+        return self.response(-self.gradient)
 
     def response(self, gradient: Floats) -> Floats:
         """Change of the optimum of all parameters where J^T r changes by a gradient,

@@ -11,49 +11,45 @@ hundreds of its standard errors away.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.information.directions import directions_of_squares, visible
+from curlfit.inference.information.directions import visible
+from curlfit.inference.information.information import Information
 from curlfit.inference.information.thresholds import LITTLE
 from curlfit.numerics.arrays import Booleans, Floats
 
 
 class RidgeInformation(NamedTuple):
-    """Rows whose squares are information about parameters, shape (directions,
-    parameters)."""
+    """What a throw says about its parameters, in two parts that together have the
+    optimum of its quadratic."""
 
-    kept: Floats
-    """the part of a quadratic with which the ridge agrees: its errors are those of
+    kept: Information
+    """the part of the quadratic with which the ridge agrees: its errors are those of
     noise, so that they are independent between throws"""
-    stretched: Floats
+    stretched: Information
     """the rest, with errors that reach as far as the ridge: the estimate is a point of
     it by chance, and its distance from the truth may be the same in all throws"""
 
-    def of(self, wanted: Booleans, step: Floats) -> tuple[Floats, Floats]:
-        """Both parts of the information about some parameters, whatever the others are,
-        with what each row gives at the optimum of the quadratic as the last column.
-
-        Parameters
-        ----------
-        wanted : which parameters these are.
-        step : of all parameters to the optimum of the quadratic.
-        """
-        kept = _reduced(np.column_stack([self.kept, self.kept @ step]), wanted)
-        both = np.vstack([self.kept, self.stretched])
-        together = _reduced(np.column_stack([both, both @ step]), wanted)
-        # What the other parameters may be is told by both parts together.
-        information = together[:, :-1].T @ together[:, :-1]
-        stretched_information = information - kept[:, :-1].T @ kept[:, :-1]
-        squares, axes = np.linalg.eigh(stretched_information)
+    def marginal(self, which: Booleans) -> Self:
+        """Both parts about some parameters, whatever the others are: what the others
+        may be is told by both parts together, and what is told beyond the first part
+        is the second."""
+        kept = self.kept.marginal(which).information
+        together = (self.kept + self.stretched).marginal(which).information
+        beyond = together.scaled.T @ together.scaled - kept.scaled.T @ kept.scaled
+        squares, axes = np.linalg.eigh(beyond)
         seen = visible(np.sqrt(np.maximum(squares[::-1], 0.0)))[::-1]
-        stretched = np.sqrt(squares[seen, None]) * axes[:, seen].T
-        return kept, np.column_stack([stretched, stretched @ step[wanted]])
+        scaled = np.sqrt(squares[seen, None]) * axes[:, seen].T
+        return type(self)(
+            kept.along_axes(), _rows_about(together, scaled, together.step_to_optimum())
+        )
 
 
 def information_along(
-    information: Floats, moves: Floats, rises: Floats
+    information: Information, moves: Floats, rises: Floats
 ) -> RidgeInformation:
     """The information about an optimum, parted by what a ridge says of it.
 
@@ -67,16 +63,15 @@ def information_along(
 
     Parameters
     ----------
-    information : matrix J^T J of the parameters at the optimum, in typical sizes.
-    moves : of the parameters from the optimum to points of the ridge, in typical sizes,
+    information : about the values from which the ridge was followed.
+    moves : of the parameters from there to points of the ridge, in typical sizes,
         shape (points, parameters).
-    rises : of chi squared from the optimum to these points.
+    rises : of chi squared from there to these points.
     """
-    axes, singular, _ = directions_of_squares(information, np.ones(len(information)))
-    rows = singular[:, None] * axes
+    scaled = information.along_axes().scaled
     # A point within one standard error is where any estimate may be by its noise.
-    points = demanded_errors(moves @ rows.T, rises[:, None])
-    taken = np.zeros((len(rows), 0))
+    points = demanded_errors(moves @ scaled.T, rises[:, None])
+    taken = np.zeros((len(scaled), 0))
     remaining = points
     while (direction := _farthest(remaining)) is not None:
         unit = direction[:, None] / np.linalg.norm(direction)
@@ -89,8 +84,19 @@ def information_along(
         unit = direction / length
         # so that this point is where the rise of chi squared says
         shortened -= (1 - 1 / length) * np.outer(unit, unit @ shortened)
-    kept = rows - taken @ (taken.T @ rows)
-    return RidgeInformation(kept, shortened @ (taken.T @ rows))
+    step = information.step_to_optimum()
+    kept = scaled - taken @ (taken.T @ scaled)
+    stretched = shortened @ (taken.T @ scaled)
+    return RidgeInformation(
+        _rows_about(information, kept, step), _rows_about(information, stretched, step)
+    )
+
+
+def _rows_about(information: Information, scaled: Floats, step: Floats) -> Information:
+    """Other rows about the same values, in typical sizes, whose optimum is a step
+    away."""
+    residual = -scaled @ (step / information.typical)
+    return replace(information, rows=np.column_stack([scaled, residual]))
 
 
 def demanded_errors(moved: Floats, rises: Floats) -> Floats:
@@ -112,16 +118,3 @@ def _farthest(points: Floats) -> Floats | None:
     lengths = np.linalg.norm(points, axis=1)
     farthest = int(np.argmax(lengths))
     return points[farthest] if lengths[farthest] > LITTLE else None
-
-
-def _reduced(rows: Floats, wanted: Booleans) -> Floats:
-    """Rows on some parameters alone, whatever the others are, of which at most as many
-    are left; the last column is what they give."""
-    columns = np.append(wanted, True)
-    basis, singular, _ = np.linalg.svd(rows[:, ~columns], full_matrices=False)
-    by_others = basis[:, visible(singular)]
-    beyond = rows[:, columns] - by_others @ (by_others.T @ rows[:, columns])
-    basis, singular, axes = np.linalg.svd(beyond[:, :-1], full_matrices=False)
-    seen = visible(singular)
-    steps = basis[:, seen].T @ beyond[:, -1]
-    return np.column_stack([singular[seen, None] * axes[seen], steps])
