@@ -413,14 +413,9 @@ def _in_digits(event: FittedEvent, value: float) -> str:
 
 
 _EVENT_COLUMNS: tuple[Column[FittedEvent], ...] = (
-    Column("measured", lambda event: event.name),
-    Column(
-        "value",
-        lambda event: event.value,
-        words=lambda event: _in_digits(event, event.value),
-        right=True,
-    ),
-    Column("sigma", lambda event: event.sigma, ".2g", right=True),
+    Column("measured", key="name"),
+    Column("value", words=lambda event: _in_digits(event, event.value), right=True),
+    Column("sigma", format=".2g", right=True),
     Column("unit", lambda event: event.event.unit),
     Column(
         "fit",

@@ -43,6 +43,8 @@ _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
 # s and m to rest, where neither was measured
 _TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0
+# standard deviation of the logarithm of the distance, where no measurement tells it
+_LENGTHS_APART = 0.3
 
 
 @dataclass(frozen=True)
@@ -259,8 +261,9 @@ def _even_motion(
             (shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3
         )
         total = total + (((t * shares - value) / sigma) ** 2).sum(0)
-    elif not rest:
-        total = abs(s - _TYPICAL_LENGTH)
+    # One time alone says nothing of the distance: the shortest ones, of which many
+    # times as much friction follows, are then as good as any.
+    total = total + (np.log(s / _TYPICAL_LENGTH) / _LENGTHS_APART) ** 2
     best = int(np.argmin(total))
     return y0, float(s[best]), float(t[best])
 

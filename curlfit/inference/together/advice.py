@@ -40,8 +40,10 @@ def with_throws(
             for throw in throws
         ]
     if refused:
-        faults = [f"{throw.data.file}: {throw.status}" for throw in refused]
-        status = ". ".join(faults)
+        status = f"{refused[0].data.file}: {refused[0].status}"
+        if len(refused) > 1:
+            others = counted(len(refused) - 1, "other throw")
+            status += f". {others.capitalize()} cannot be used either"
     result = replace(
         result,
         throws=tuple(throws),
