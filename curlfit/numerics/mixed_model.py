@@ -26,7 +26,6 @@ _UNSEEN = 1e-3, 1e-7
 # information on effects over the largest, so that undetermined ones are zero
 _DIFFUSE = 1e-10
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
-_STEP = 1e-4  # of differences of the logarithm: the likelihood has rounding errors
 # of a variance over that of a typical block, below which it counts as zero
 _ZERO = 1e-4
 _OUTSIDE = 1e-9  # beyond a bound, by rounding
@@ -129,11 +128,34 @@ class MixedModel(NamedTuple):
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
         products, determinants = self.marginal_sum(variances)
         normal, right, square = self.parts(products)
-        value = determinants + np.linalg.slogdet(normal)[1] + square
-        found: Floats = value - (
-            right * np.linalg.solve(normal, right[..., None])[..., 0]
-        ).sum(-1)
-        return found
+        mean: Any = np.linalg.solve(normal, right[..., None])[..., 0]
+        explained = (right * mean).sum(-1)
+        value: Floats = determinants + np.linalg.slogdet(normal)[1] + square - explained
+        return value
+
+    def criterion_slopes(self, variances: Floats) -> Floats:
+        """Derivatives of the criterion by the variances, shape (deviations,).
+
+        Where C = diag(variances)^-1 + S, with the products S of the deviations of a
+        block, a variance v_j adds to C^-1 the square of column j of 1 - C^-1 S. The
+        products t_j of deviation j with all columns, with the deviations integrated
+        out, are those of this column: the marginal products change by -t_j t_j^T, and
+        the logarithm of the determinant by the product of deviation j with itself.
+        """
+        k = len(variances)
+        root = np.sqrt(variances)[:, None]
+        products = self.products[:, :k]
+        inner = np.eye(k) + root * products[:, :, :k] * root.T
+        solved: Any = np.linalg.solve(inner, root * products)
+        integrated = products - (products[:, :, :k] * root.T) @ solved
+        of_deviation = np.diagonal(integrated, axis1=1, axis2=2)
+        with_mean = integrated[:, :, k:-1]
+        normal, right, _ = self.parts(self.marginal_sum(variances)[0])
+        mean: Any = np.linalg.solve(normal, right)
+        left_over = integrated[:, :, -1] - with_mean @ mean
+        told = ((with_mean @ np.linalg.inv(normal)) * with_mean).sum(-1)
+        slopes: Floats = (of_deviation - told - left_over**2).sum(0)
+        return slopes
 
     def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
         """Normal matrix and right side of the mean and the effects, and the sum of
@@ -164,22 +186,23 @@ class MixedModel(NamedTuple):
         """Of the deviations, by restricted maximum likelihood."""
         from scipy.optimize import minimize  # slow to load
 
-        def of_logarithm(v: Floats) -> float:
-            return float(self.criterion(guess * np.exp(v)))
+        def by_logarithms(logarithms: Floats) -> tuple[float, Floats]:
+            variances = guess * np.exp(logarithms)
+            slopes = variances * self.criterion_slopes(variances)
+            return float(self.criterion(variances)), slopes
 
-        found = minimize(
-            of_logarithm,
+        best = minimize(
+            by_logarithms,
             np.zeros(len(guess)),
+            jac=True,
             bounds=[_RANGE] * len(guess),
-            options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
+            options={"ftol": 1e-14, "gtol": 1e-6},
         )
-        variances: Floats = guess * np.exp(found.x)
+        variances: Floats = guess * np.exp(best.x)
         small = variances < _ZERO * self.typical
-        if (
-            small.any()
-            and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO
-        ):
-            variances = np.where(small, 0.0, variances)
+        without_small = np.where(small, 0.0, variances)
+        if small.any() and self.criterion(without_small) < best.fun + _ZERO:
+            return without_small
         return variances
 
 

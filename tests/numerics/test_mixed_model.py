@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import LinearConstraint, minimize
+from scipy.optimize import LinearConstraint, approx_fprime, minimize
 from scipy.stats import multivariate_normal
 
 from curlfit.numerics.mixed_model import MixedModel, within
@@ -62,6 +62,24 @@ def test_the_estimate_is_that_of_the_dense_likelihood():
     _, best, covariance = dense(rows, target, covariates, found.variances)
     assert found.estimate == pytest.approx(best, abs=1e-6)
     assert found.covariance == pytest.approx(covariance, abs=1e-6)
+
+
+def test_the_slopes_of_the_criterion_are_those_of_the_dense_likelihood():
+    rows, target, covariates, _ = simulated(12, 6)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    variances = np.array([0.05, 0.8])
+    expected = approx_fprime(
+        variances, lambda v: dense(rows, target, covariates, v)[0], 1e-6
+    )
+    assert model.criterion_slopes(variances) == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_search_for_variances_does_not_depend_on_where_it_begins():
+    rows, target, covariates, _ = simulated(40, 7)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    first = model.variances(np.full(2, 0.1))
+    second = model.variances(np.array([0.003, 2.0]))
+    assert first == pytest.approx(second, rel=1e-6)
 
 
 def test_further_covariates_are_as_if_they_had_been_there():
