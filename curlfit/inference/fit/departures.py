@@ -21,7 +21,11 @@ from curlfit.inference.fit.ridge import Point, Ridge
 from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.covariance import Covariance
-from curlfit.inference.information.directions import standard_error, visible
+from curlfit.inference.information.directions import (
+    inverted,
+    standard_error,
+    visible,
+)
 from curlfit.inference.information.thresholds import (
     CONVERGED,
     LITTLE,
@@ -187,16 +191,20 @@ def probes_about(covariance: Covariance) -> list[Probe]:
     bounds; and there, along null directions, two standard errors from combinations.
     """
     bounded = covariance.information.bounded
-    probes = _probes_of_sums_elsewhere(covariance)
-    for name, weights in covariance.identifiability.determined().items():
-        step = _step_of(covariance, weights)
+    determined = covariance.identifiability.determined()
+    steps = _steps_of(covariance, determined)
+    loose_directions = _loose_directions(covariance)
+    null_directions = [axis for axis, singular in loose_directions if singular == 0.0]
+    probes = _probes_of_sums_elsewhere(covariance, steps, null_directions)
+    for statement, weights in determined.items():
+        step = steps[statement]
         if np.abs(step / covariance.typical).max() < _QUADRATIC:
             continue
         names = _names_at(covariance, np.flatnonzero(covariance.in_all(weights)))
         for point in (bounded.values + step, bounded.values - step):
             if ((point >= bounded.lower) & (point <= bounded.upper)).all():
-                probes.append(Probe(point, _PROBED**2, names, name))
-    for direction, singular in _loose_directions(covariance):
+                probes.append(Probe(point, _PROBED**2, names, statement))
+    for direction, singular in loose_directions:
         length = UNKNOWN if singular == 0 else min(1 / singular, UNKNOWN)
         expected = (length * singular) ** 2
         names = _taking_part(covariance, direction)
@@ -206,23 +214,24 @@ def probes_about(covariance: Covariance) -> list[Probe]:
     return probes
 
 
-def _probes_of_sums_elsewhere(covariance: Covariance) -> list[Probe]:
+def _probes_of_sums_elsewhere(
+    covariance: Covariance,
+    steps: Mapping[str, Floats],
+    null_directions: Sequence[Floats],
+) -> list[Probe]:
     """Two standard errors from combinations, three typical sizes along the null
     directions in which their parameters take part, or as far as the bounds leave: where
     only a ratio is known, a sum is known the worse the larger its parameters are."""
     bounded = covariance.information.bounded
     probes = []
-    statements = covariance.identifiability.determined()
-    for direction, singular in _loose_directions(covariance):
-        if singular > 0.0:
-            continue
+    for direction in null_directions:
         names = _taking_part(covariance, direction)
         far = UNKNOWN * direction * covariance.typical
         for combination in covariance.identifiability.combinations:
             if not combination.weights.keys() & set(names):
                 continue
             expression = combination.expression
-            across = _step_of(covariance, statements[expression])
+            across = steps[expression]
             for along in (far, -far):
                 point = bounded.values + _room_for(bounded, along) * along + across
                 probes.append(Probe(point, _PROBED**2, names, expression))
@@ -236,14 +245,19 @@ def _room_for(bounded: Bounded, step: Floats) -> float:
     return min(1.0, float(((end - bounded.values)[moves] / step[moves]).min()))
 
 
-def _step_of(covariance: Covariance, weights: Floats) -> Floats:
-    """Change of the parameters along which a weighted sum of the open ones changes by
-    two standard errors, the others following to first order; zero if it has none."""
-    follow = covariance.conditional_matrix @ weights
-    error = math.sqrt(max(float(weights @ follow), 0.0))
-    if error == 0.0:
-        return np.zeros(len(covariance.typical))
-    return covariance.in_all(_PROBED * follow / error)
+def _steps_of(
+    covariance: Covariance, weights: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Changes of the parameters along which weighted sums of the open ones change by
+    two standard errors, the others following to first order; zero of a sum that has no
+    error."""
+    sums = np.array([*weights.values()]).reshape(-1, int(covariance.open.sum()))
+    follow = sums @ covariance.conditional_matrix
+    errors = np.sqrt(np.maximum((sums * follow).sum(1), 0.0))
+    per_error = inverted(errors, errors > 0.0)
+    steps = np.zeros((len(sums), len(covariance.typical)))
+    steps[:, covariance.open] = _PROBED * follow * per_error[:, None]
+    return dict(zip(weights, steps, strict=True))
 
 
 def _taking_part(covariance: Covariance, direction: Floats) -> tuple[str, ...]:
