@@ -241,7 +241,8 @@ class Law:
     origin: ClassVar[str] = ""
     """FILE.py:CLASS of a user's law."""
     sums: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Coefficients of which only the sum enters the motion, under uniform load."""
+    """Coefficients of which only the sum enters the motion, under uniform load. Tables
+    of many throws have a column for each; a fit finds its sums by itself."""
     corners: ClassVar[tuple[float, ...]] = ()
     """Angles turned (rad) at which friction, as a function of that angle, has a kink;
     beyond the last of them friction no longer depends on the angle."""

@@ -14,7 +14,7 @@ class _FrontBackCoefficients(Law):
         0.005,
         "front half, across the motion",
         symbol=r"\mu_{1\xi}",
-        usual=(0.005, 0.005),  # eq. 12
+        usual=(0.005, 0.005),  # fits of eq. 12
     )
     mu2_xi: float = coefficient(
         0.05, "back half, across the motion", symbol=r"\mu_{2\xi}"
@@ -32,7 +32,8 @@ class FrontBack(_FrontBackCoefficients, LocalLaw):
     of the ring.
 
     Under uniform load only `mu1_eta + mu2_eta` enters the motion: the ring integrals of
-    the two halves are equal term by term, for every spin.
+    the two halves are equal term by term, for every spin, since eta -> -eta leaves
+    e_eta as it is and turns e_xi.
     """
 
     name = "front-back"

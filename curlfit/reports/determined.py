@@ -33,7 +33,7 @@ _NUMBERS = (
 )
 
 
-def identifiability(fit: FitResult) -> str:
+def sentences_on(fit: FitResult) -> str:
     """Sentences on what the path determines, what it does not, and what would help."""
     free = [
         name for name, parameter in fit.parameters.items() if parameter.verdict.is_free

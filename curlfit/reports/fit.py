@@ -30,7 +30,7 @@ from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.table import Column, Table
 from curlfit.output.text import stone_text
 from curlfit.reports import posterior
-from curlfit.reports.determined import identifiability
+from curlfit.reports.determined import sentences_on
 from curlfit.reports.estimates import (
     about,
     derived_table,
@@ -109,7 +109,7 @@ def document(fit: FitResult) -> Document:
         Section(
             "determined",
             f"What the path {'does not determine' if hidden else 'determines'}",
-            (identifiability(fit),),
+            (sentences_on(fit),),
         ),
         Section("posterior", "The posterior", (_posterior(fit), unfinished)),
         Section("outliers", "Outliers", (outliers(fit),), brief=False),
