@@ -286,25 +286,33 @@ def to_be_held(
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
             names.update(_taking_part(covariance, direction))
-    open_ = np.flatnonzero(covariance.open).tolist()
     held = {index for index, name in enumerate(covariance.names) if name in names}
     held.update(np.flatnonzero(covariance.at_bound & covariance.open).tolist())
-    spin = _spin_of(covariance)
-    if spin is not None:
-        error = covariance.error_of(spin)  # infinite unless the spin is open
-        if covariance.at_bound[spin]:
-            held.add(spin)
-        if covariance.open[spin] and error >= WEAK_ERROR * covariance.typical[spin]:
-            held.add(spin)
-        if abs(covariance.values[spin]) < _NO_SPIN * error < math.inf:
-            held.add(spin)
-            held.update(index for index in open_ if index < coefficients)
+    held.update(_held_for_the_spin(covariance, coefficients))
     if held:
-        for index in open_:
+        for index in np.flatnonzero(covariance.open).tolist():
             error = covariance.error_of(index)
             if WEAK_ERROR * covariance.typical[index] <= error < math.inf:
                 held.add(index)
     return sorted(held)
+
+
+def _held_for_the_spin(covariance: Covariance, coefficients: int) -> set[int]:
+    """The spin, where it is weak or at its bound; and of a stone that may not have
+    spun, it and the open coefficients."""
+    spin = _spin_of(covariance)
+    if spin is None:
+        return set()
+    error = covariance.error_of(spin)  # infinite unless the spin is open
+    may_be_zero = abs(covariance.values[spin]) < _NO_SPIN * error < math.inf
+    is_weak = error >= WEAK_ERROR * covariance.typical[spin]
+    held = set()
+    if covariance.at_bound[spin] or (covariance.open[spin] and is_weak) or may_be_zero:
+        held.add(spin)
+    if may_be_zero:
+        open_indices = np.flatnonzero(covariance.open).tolist()
+        held.update(index for index in open_indices if index < coefficients)
+    return held
 
 
 def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Departures:

@@ -105,45 +105,53 @@ def outliers_of(
         if given is None:
             off = off / throw.sigma_over_smallest(channel)[observed]
         size = np.abs(off)
-        limit = 5 + 30 / (count - 6)
-        # A law that does not follow the path, or that outliers have drawn aside, is off
-        # by as much in the next rows.
-        smooth = lag1.get(channel, 1.0) > _SMOOTH
-        studentized = (
-            not smooth
+        is_smooth = lag1.get(channel, 1.0) > _SMOOTH
+        is_studentized = (
+            not is_smooth
             and count < _FEW
             and not loss.is_robust
             and given is None
             and dof[row] > 2
         )
+        limit = 5 + 30 / (count - 6)
         large = size > size.max() / (limit * MAD_TO_SIGMA)
-        if not studentized and 2 * large.sum() > count:
+        if not is_studentized and 2 * large.sum() > count:
             continue  # the median size is so large that no value is far off
         bulk = max(robust_sigma(size), SIGMA_FLOOR)
         sigma = np.full(count, bulk)
         if given is not None:
             sigma = np.maximum(given[observed], bulk)
-        far = size > limit * sigma
-        if smooth:
-            from_neighbours = np.abs(off - running_median(off, _NEIGHBOURS))
-            far &= from_neighbours > limit * sigma
-            half = _NEIGHBOURS // 2
-            far[:half] = False  # no rows on both sides
-            far[-half:] = False
-        if studentized:
+        if is_smooth:
+            is_far = _far_from_neighbours(off, limit * sigma)
+        else:
+            is_far = size > limit * sigma
+        if is_studentized:
             chance = _BY_CHANCE / (2 * residual.shape[0] * count)
-            far |= _studentized_far(size, leverage[row, observed], dof[row], chance)
-        for index, sigmas in zip(observed[far], size[far] / sigma[far], strict=True):
+            is_far |= _studentized_far(size, leverage[row, observed], dof[row], chance)
+        sigmas = size / sigma
+        for index, sigmas_off in zip(observed[is_far], sigmas[is_far], strict=True):
             outliers.append(
                 Outlier(
                     channel=channel,
                     t=float(throw.t[index]),
                     line=None if throw.lines is None else int(throw.lines[index]),
                     off=float(residual[row, index]),
-                    sigmas=float(sigmas),
+                    sigmas=float(sigmas_off),
                 )
             )
     return tuple(sorted(outliers, key=lambda outlier: -outlier.sigmas))
+
+
+def _far_from_neighbours(off: Floats, limits: Floats) -> Booleans:
+    """Values far from the fit and as far from the residuals about them: a law that does
+    not follow the path, or that outliers have drawn aside, is off by as much in the
+    next rows. The first and last have no rows on both sides."""
+    from_neighbours = np.abs(off - running_median(off, _NEIGHBOURS))
+    is_far: Booleans = (np.abs(off) > limits) & (from_neighbours > limits)
+    half = _NEIGHBOURS // 2
+    is_far[:half] = False
+    is_far[-half:] = False
+    return is_far
 
 
 def _studentized_far(

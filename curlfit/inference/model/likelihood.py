@@ -43,6 +43,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches, unstacked
 from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY
+from curlfit.throws.events import EventArrays
 
 SIGMA_FLOOR = 1e-7
 """Smallest standard deviation of noise (m and rad): the precision of the
@@ -64,70 +65,87 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
     system = System.of(model, values, problem.stone, problem.environment)
     if problem.times is None:  # friction alone
         return jnp.pad(_braking(model, system, problem.states)[None], ((5, 0), (0, 0)))
-    start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
+    count = len(measured)
     times = measured
     spins = problem.spins if issubclass(model.law, NetLaw) else None
     if spins is not None:
         intervals = RowIntervals.about(measured, spins.interval / system.time_scale)
         times = intervals.times
-    forces = _forces(model, system)
-    if problem.events is None:
+    of_events = None
+    if problem.events is not None:
+        path, of_events = _path_and_events(model, system, problem.events, times)
+    else:
         motion = ordered_trajectory if spins is None else trajectory
         path = motion(
             system.law,
             system.stone,
-            forces,
-            start,
+            _forces(model, system),
+            system.start,
             times,
             jnp.zeros(()),
             load=model.load,
         )
-        known = jnp.zeros(len(measured))
-    else:
-        lines = start.y + (problem.events.lines - start.y) / scale
-        weights = problem.events.weights
-        path, passages = with_passages(
-            system.law,
-            system.stone,
-            forces,
-            start,
-            lines,
-            times,
-            (weights != 0).any(),
-            load=model.load,
-        )
-        time, x_rest, y_rest, phi_rest = passages.rest
-        at_lines = jnp.concatenate(
-            [
-                passages.time * system.time_scale,
-                _scaled(passages.x, start.x, scale),
-                passages.phi,
-                jnp.stack(
-                    [
-                        time * system.time_scale,
-                        _scaled(x_rest, start.x, scale),
-                        _scaled(y_rest, start.y, scale),
-                        phi_rest,
-                    ]
-                ),
-                passages.speed,
-                passages.omega,
-            ]
-        )
-        found = jnp.where(weights != 0, weights * at_lines, 0.0).sum(-1)
-        known = jnp.zeros(len(measured)).at[: len(found)].set(found)
-    if problem.states is not None:
-        known = jnp.where(
-            problem.states[0] > 0, _braking(model, system, problem.states), known
-        )
-    more = [] if problem.events is None and problem.states is None else [known]
     omega = path.omega
     if spins is not None:
         omega = intervals.spins(path, spins.values)
-    x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
-    channels = (x, y, path.phi, path.speed, omega)
-    return jnp.stack([*(channel[: len(measured)] for channel in channels), *more])
+    x = _scaled(path.x, system.start.x, system.length_scale)
+    y = _scaled(path.y, system.start.y, system.length_scale)
+    rows = [channel[:count] for channel in (x, y, path.phi, path.speed, omega)]
+    if of_events is not None or problem.states is not None:
+        beside_path = jnp.zeros(count)
+        if of_events is not None:
+            beside_path = beside_path.at[: len(of_events)].set(of_events)
+        if problem.states is not None:
+            braking = _braking(model, system, problem.states)
+            beside_path = jnp.where(problem.states[0] > 0, braking, beside_path)
+        rows.append(beside_path)
+    return jnp.stack(rows)
+
+
+def _path_and_events(
+    model: Model, system: System, events: EventArrays, times: Array
+) -> tuple[Any, Array]:
+    """The path at some times, and the values of events as measured, shape (events,).
+
+    An event is a weighted sum of what there is at lines and at rest, in the order of
+    its weights: times, x and angles at lines; time, x, y and angle at rest; speeds and
+    spins at lines.
+    """
+    start = system.start
+    scale = system.length_scale
+    weights = events.weights
+    path, passages = with_passages(
+        system.law,
+        system.stone,
+        _forces(model, system),
+        start,
+        start.y + (events.lines - start.y) / scale,
+        times,
+        (weights != 0).any(),
+        load=model.load,
+    )
+    rest_time, rest_x, rest_y, rest_phi = passages.rest
+    at_rest = jnp.stack(
+        [
+            rest_time * system.time_scale,
+            _scaled(rest_x, start.x, scale),
+            _scaled(rest_y, start.y, scale),
+            rest_phi,
+        ]
+    )
+    at_lines_and_rest = jnp.concatenate(
+        [
+            passages.time * system.time_scale,
+            _scaled(passages.x, start.x, scale),
+            passages.phi,
+            at_rest,
+            passages.speed,
+            passages.omega,
+        ]
+    )
+    values = jnp.where(weights != 0, weights * at_lines_and_rest, 0.0).sum(-1)
+    return path, values
 
 
 def _braking(model: Model, system: System, states: Array) -> Array:
@@ -135,8 +153,8 @@ def _braking(model: Model, system: System, states: Array) -> Array:
     a speed is 0."""
     speed, omega = states
     state = jnp.where(speed > 0, speed, 1.0), omega
-    found = accelerations(system.law, system.stone, model.load, *state)
-    return -found.eta / GRAVITY
+    acceleration = accelerations(system.law, system.stone, model.load, *state)
+    return -acceleration.eta / GRAVITY
 
 
 def _scaled(position: Array, start: Array, scale: Any) -> Array:
