@@ -35,7 +35,7 @@ from curlfit.inference.fit.ridge import (
 )
 from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.covariance import Covariance
-from curlfit.inference.information.directions import r_factor
+from curlfit.inference.information.directions import apart_from, r_factor
 from curlfit.inference.information.information import Information
 from curlfit.inference.model.likelihood import linearize, whitened_residuals_of_many
 from curlfit.inference.model.priors import Penalty
@@ -54,7 +54,6 @@ from curlfit.numerics.batches import FEW, in_batches, stacked, unstacked
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
-    apart_from,
     exact_problems,
     vectors_of,
 )

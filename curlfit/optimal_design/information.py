@@ -27,7 +27,11 @@ from curlfit.foreign import counted
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.information.bounds import Bounded
-from curlfit.inference.information.directions import r_factor, standard_error
+from curlfit.inference.information.directions import (
+    apart_from,
+    r_factor,
+    standard_error,
+)
 from curlfit.inference.information.information import Information
 from curlfit.inference.model.likelihood import linearize, predict_many
 from curlfit.inference.model.model import Model
@@ -52,8 +56,6 @@ MOST_ROWS = 50_000
 """Maximum number of rows of one throw."""
 
 _ROWS = 256  # in a column of a batch
-# relative to the largest singular value of the columns of the initial state
-_ROUNDING = 1e-13
 
 
 class PlannedThrow(NamedTuple):
@@ -289,16 +291,6 @@ class Assumptions:
             for parameter in START
             if needed.get(parameter.name, set()) <= self.sigma.keys()
         ]
-
-
-def apart_from(nuisances: Floats, columns: Floats) -> Floats:
-    """Columns projected onto the orthogonal complement of others, the nuisances; both
-    of one throw, or of many along the first axis."""
-    left, singular, _ = np.linalg.svd(nuisances, full_matrices=False)
-    left = left * (singular > _ROUNDING * singular[..., :1])[..., None, :]
-    for _ in range(2):  # twice, against rounding errors
-        columns = columns - left @ (left.mT @ columns)
-    return columns
 
 
 class _Piece(NamedTuple):

@@ -19,7 +19,7 @@ from curlfit.errors import CurlfitError, InputError
 from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.systematics import residual_changes, widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
-from curlfit.inference.information.directions import r_factor, visible
+from curlfit.inference.information.directions import apart_from, r_factor, visible
 from curlfit.inference.model.likelihood import predict_many
 from curlfit.inference.model.parameters import START, ParameterSet
 from curlfit.inference.model.problem import problem_shape, shape_of_all
@@ -33,7 +33,6 @@ from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
     Rest,
-    apart_from,
     clock_of,
     paths_of,
     rests_of,

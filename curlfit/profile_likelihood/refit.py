@@ -19,6 +19,8 @@ import numpy as np
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.information.bounds import Bounded
+from curlfit.inference.information.information import Information
 from curlfit.inference.solve.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import FEW, stacked, unstacked
@@ -30,7 +32,6 @@ BETTER = 1e-3
 """Decrease of chi squared that makes another fit the better one."""
 _ROUNDS = 8
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
-_ROUNDING = 1e-9  # of the largest singular value
 
 
 class Optimum(NamedTuple):
@@ -138,21 +139,21 @@ class Refit:
         parameter, the others responding; its inverse is the standard error with the
         other fixed ones held.
         """
-        moving = self.parameters.free & ~self.at_bound(self.best.values)
-        moving[held] = False
-        jacobian = self.jacobian.reshape(-1, len(self.parameters))
-        by_moving = jacobian[:, moving]
-        by_held = jacobian[:, held]
-        # columns of one size, so that the tolerance of the rank means the same for all
-        size = np.linalg.norm(by_moving, axis=0)
-        size[size == 0] = 1.0
-        scaled = np.linalg.lstsq(by_moving / size, by_held, rcond=_ROUNDING)[0]
-        moved = -scaled / size[:, None]
-        response = np.zeros((len(self.parameters), len(held)))
-        response[moving] = moved
-        response[held] = np.eye(len(held))
-        stiffness = np.linalg.norm(by_held + by_moving @ moved, axis=0)
-        return response, stiffness
+        parameters = self.parameters
+        is_held = np.isin(np.arange(len(parameters)), held)
+        bounds = Bounded(self.best.values, parameters.lower, parameters.upper)
+        information = Information.of(
+            parameters.names,
+            bounds,
+            parameters.typical,
+            self.jacobian,
+            np.zeros(self.jacobian.shape[:-1]),
+        )
+        stays = self.at_bound(self.best.values) & ~is_held
+        marginal = information.held(stays).marginal(is_held)
+        stiffness = np.linalg.norm(marginal.information.slopes, axis=0)
+        in_order = np.argsort(np.argsort(held))  # of `held`, not of the parameters
+        return marginal.follow[:, in_order], stiffness[in_order]
 
 
 class ConstrainedFits:

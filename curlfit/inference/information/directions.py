@@ -45,6 +45,17 @@ def inverted(singular: Floats, counts: Booleans) -> Floats:
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
 
+def apart_from(nuisances: Floats, columns: Floats) -> Floats:
+    """Columns of rows, projected onto the orthogonal complement of other columns, those
+    of nuisance parameters in typical sizes: what the rows say of the first whatever
+    the others are. Both of one problem, or of a stack."""
+    left, singular, _ = np.linalg.svd(nuisances, full_matrices=False)
+    left = left * visible(singular)[..., None, :]
+    for _ in range(2):  # twice, against rounding errors
+        columns = columns - left @ (left.mT @ columns)
+    return columns
+
+
 def directions_of_squares(
     matrix: Floats, typical: Floats
 ) -> tuple[Floats, Floats, Floats]:
