@@ -537,10 +537,14 @@ def _first_cell(row: Sequence[str]) -> str:
 
 def lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
     """Indices of lines from one on that are no comments and not blank."""
+    if most is None:
+        lines = file.lines
+        return [k for k in range(begin, len(lines)) if not is_aside(lines[k])]
     return list(islice(_each_line_of_data(file, begin), most))
 
 
 def _each_line_of_data(file: TextFile, begin: int) -> Iterator[int]:
     """The same, one after another."""
-    lines = file.lines
-    return (k for k in range(begin, len(lines)) if not is_aside(lines[k]))
+    for index in range(begin, len(file.lines)):
+        if not is_aside(file.lines[index]):
+            yield index
