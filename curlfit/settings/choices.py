@@ -261,16 +261,19 @@ class Choices:
         """The choices that are given, by name."""
         return {name: value for name, value in self if given(value)}
 
-    def words(self) -> list[str]:
-        """The flags that give these choices."""
-        forms = self.forms()
+    def words(self, kind: type[Choices] | None = None) -> list[str]:
+        """The flags that give these choices, or those of them that are of a kind."""
+        forms = (kind or type(self)).forms()
         words = []
-        for name, value in self.given().items():
+        for name, form in forms.items():
+            value = getattr(self, name)
+            if not given(value):
+                continue
             flag = flag_of(name)
             if value is True:
                 words.append(flag)
             else:
-                words += [f"{flag}={word}" for word in forms[name].words(value)]
+                words += [f"{flag}={word}" for word in form.words(value)]
         return words
 
     def __iter__(self) -> Iterator[tuple[str, Any]]:

@@ -220,8 +220,8 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     make: Callable[..., Throw] = (
         Throw.from_events if parsed.events else Throw.from_arrays
     )
-    given = Reading(**{name: getattr(reading, name) for name in Reading.forms()})
-    throw = make(**assemble(parsed, reading), read_with=tuple(given.words()))
+    read_with = tuple(reading.words(Reading))
+    throw = make(**assemble(parsed, reading), read_with=read_with)
     if reading.throws is None:
         return throw
     entry = entry_in(Path(reading.throws), throw.name)
@@ -274,7 +274,7 @@ def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Co
     check_reading(reading)
     text = TextFile.read(Path(file), reading.worksheet)
     format = _BY_NAME[reading.format or detect_format(text.lines, reading.columns)]
-    format.check(text.path, replace(reading, worksheet=None))
+    format.check(text.path, reading, besides=["worksheet"])
     try:
         return text.path, format, format.contents(text, reading)
     except DataError as error:

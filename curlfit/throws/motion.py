@@ -54,6 +54,7 @@ class MeasuredMotion(NamedTuple):
     velocity : in m/s, shape (2, k).
     rows : number of rows with both x and y; some may be outliers.
     times, positions : of the others, shape (n,) in s and (2, n) in m.
+    noise : standard deviations of x and y from row to row in m, shape (2,).
     length : extent of the path, m. friction, friction_error : mean deceleration over g,
         and its standard error.
     curl, curl_error : deviation at the end from the initial direction in m, positive to
@@ -70,6 +71,7 @@ class MeasuredMotion(NamedTuple):
     rows: int
     times: Floats
     positions: Floats
+    noise: Floats
     length: float
     friction: float
     friction_error: float
@@ -95,8 +97,11 @@ def motion_of(throw: Throw) -> MeasuredMotion | None:
     every, places = path_of(throw)
     if len(every) < FEWEST:
         return None
-    t, positions = _without_outliers(every, places)
-    begin, end, middle, velocity, error = _block_slopes(t, positions)
+    noise = scatter(places)
+    t, positions = _without_outliers(every, places, noise)
+    if len(t) < len(every):
+        noise = scatter(positions)
+    begin, end, middle, velocity, error = _block_slopes(t, positions, noise)
     speed = np.hypot(*velocity)
     if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
         rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
@@ -116,6 +121,7 @@ def motion_of(throw: Throw) -> MeasuredMotion | None:
         len(every),
         t,
         positions,
+        noise,
         length,
         *friction,
         curl,
@@ -124,21 +130,22 @@ def motion_of(throw: Throw) -> MeasuredMotion | None:
     )
 
 
-def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
+def _without_outliers(
+    t: Floats, positions: Floats, noise: Floats
+) -> tuple[Floats, Floats]:
     """Rows as near the running median of five as noise and friction explain."""
-    five = np.sort(
-        np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1
-    )
+    five = np.stack([positions[:, k : len(t) - 4 + k] for k in range(5)], axis=-1)
+    five.sort(axis=-1)
     bend = 0.5 * _BRAKING * (2 * float(median(np.diff(t)))) ** 2
-    limit = 0.02 + bend + 6 * scatter(positions)[:, None]
+    limit = 0.02 + bend + 6 * noise[:, None]
     near = np.ones(len(t), bool)
     near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
     return (t, positions) if near.all() else (t[near], positions[:, near])
 
 
-def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
+def _block_slopes(t: Floats, values: Floats, noise: Floats) -> tuple[Floats, ...]:
     """First, last and mean time, slopes, and the standard error of their
-    magnitude, by block."""
+    magnitude, by block; `noise` of the values is the least that counts."""
     blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
@@ -151,8 +158,8 @@ def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
     mean = np.add.reduceat(values, first, axis=1) / count
     residual = values - mean[:, owner] - slopes[:, owner] * at
     own = np.add.reduceat((residual**2).sum(0), first) / np.maximum(count - 2, 1)
-    noise = np.maximum(own, float((scatter(values) ** 2).sum()))
-    return t[first], t[last], middle, slopes, np.sqrt(noise / spread)
+    variance = np.maximum(own, float((noise**2).sum()))
+    return t[first], t[last], middle, slopes, np.sqrt(variance / spread)
 
 
 def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
@@ -333,7 +340,7 @@ def position_jump(motion: MeasuredMotion) -> tuple[float, float, float] | None:
     """
     t = motion.times
     positions = motion.positions
-    noise = float(np.hypot(*scatter(positions)))
+    noise = float(np.hypot(*motion.noise))
     if noise > _NOISY or len(t) < (1 - _OUTLYING) * motion.rows:
         return None
     last = np.arange(2, len(t) - 3)  # row before a jump

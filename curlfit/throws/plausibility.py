@@ -245,7 +245,7 @@ def _gap(throw: Throw) -> Iterator[Finding]:
         return
     last = int(np.argmax(steps))
     longest, times = _LONGEST_GAP
-    if steps[last] < max(longest, times * float(median(steps))):
+    if steps[last] < longest or steps[last] < times * float(median(steps)):
         return
     early = last + 1 < len(throw) / 2
     row = last if early else last + 1
@@ -491,9 +491,9 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             throw, "axes", corrected(words, across, along, turn, exchanged=along_x)
         )
 
-    turned, _ = turning(throw)
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
-    if certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
+    turned = turning(throw)[0] if certain else math.nan
+    if abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
         to_the_left = motion.curl > 0
         if along_x:
             first = Remedy("if-x-is-along", axes(forward, forward))
@@ -530,18 +530,21 @@ def _ratios(throw: Throw, motion: MeasuredMotion) -> Iterator[_Ratio]:
     """The measured speed over that of the path, where the stone is fast enough, and
     the integral of the spin over the change of the angle."""
     has_speed = np.isfinite(throw.speed)
-    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(median(motion.error)))
-    if has_speed.sum() >= 4 and fast.sum() >= 3:
-        speed = np.interp(motion.t, throw.t[has_speed], throw.speed[has_speed])
-        ratio = float(median(speed[fast] / motion.speed[fast]))
-        yield _Ratio("speed", "the path", ratio)
+    if has_speed.sum() >= 4:
+        surely_moving = 10 * float(median(motion.error))
+        fast = motion.speed > max(0.3 * motion.fastest, surely_moving)
+        if fast.sum() >= 3:
+            speed = np.interp(motion.t, throw.t[has_speed], throw.speed[has_speed])
+            ratio = float(median(speed[fast] / motion.speed[fast]))
+            yield _Ratio("speed", "the path", ratio)
     has_angle = np.isfinite(throw.phi)
     has_spin = np.isfinite(throw.omega)
-    turned, _ = turning(throw)
-    if has_angle.sum() >= FEWEST and has_spin.sum() >= 4 and abs(turned) > 1.0:
-        t = throw.t[has_angle]
-        spin = np.interp(t, throw.t[has_spin], throw.omega[has_spin])
-        yield _Ratio("spin", "the angle", float(np.trapezoid(spin, t)) / turned)
+    if has_angle.sum() >= FEWEST and has_spin.sum() >= 4:
+        turned, _ = turning(throw)
+        if abs(turned) > 1.0:
+            t = throw.t[has_angle]
+            spin = np.interp(t, throw.t[has_spin], throw.omega[has_spin])
+            yield _Ratio("spin", "the angle", float(np.trapezoid(spin, t)) / turned)
 
 
 def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:

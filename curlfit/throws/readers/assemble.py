@@ -235,11 +235,16 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
             {"clock": name, "rows": int(rows.sum())} for name, rows in used.items()
         ]
         parsed.notes.append(Finding.note("clocks-merged", clocks=merged))
-    origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
-    of = np.repeat(list(used), [rows.sum() for rows in used.values()])
-    every = {c: np.where(of == clock[c], v[origin], np.nan) for c, v in columns.items()}
-    every["t"] = np.concatenate([clocks[name][rows] for name, rows in used.items()])
-    _chosen(parsed, {}, origin)
+    origin_of = {name: np.flatnonzero(rows) for name, rows in used.items()}
+    every = {}
+    for quantity, values in columns.items():
+        pieces = [
+            values[rows] if name == clock[quantity] else np.full(len(rows), np.nan)
+            for name, rows in origin_of.items()
+        ]
+        every[quantity] = np.concatenate(pieces)
+    every["t"] = np.concatenate([clocks[c][rows] for c, rows in origin_of.items()])
+    _chosen(parsed, {}, np.concatenate(list(origin_of.values())))
     return every
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -119,6 +120,7 @@ def _words_in(text: str) -> list[str]:
     return text.replace(",", " ").lower().replace("_", "-").split()
 
 
+@lru_cache(256)
 def parse_axes(text: str | None) -> AxisConvention:
     """An axis convention from words separated by commas or spaces, such
     as `x-along,clockwise`.

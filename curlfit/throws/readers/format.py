@@ -72,10 +72,19 @@ class Format(NamedTuple):
     columns: Collection[str] = ()
     jointly: bool = False
 
-    def check(self, source: Path | str, reading: Reading) -> None:
-        """Raise `InputError` for a choice of something that such files do not hold."""
+    def check(
+        self, source: Path | str, reading: Reading, besides: Collection[str] = ()
+    ) -> None:
+        """Raise `InputError` for a choice of something that such files do not hold.
+
+        Parameters
+        ----------
+        besides : choices that are checked elsewhere.
+        """
         for name, what in _NOTHING.items():
-            if given(getattr(reading, name)) and name not in self.selections:
+            if name in self.selections or name in besides:
+                continue
+            if given(getattr(reading, name)):
                 flag = name.replace("_", "-")
                 raise InputError(
                     f"--{flag}: {source} is a {self.name} file and holds {what}"

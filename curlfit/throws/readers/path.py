@@ -125,15 +125,11 @@ def contents_of(table: Table, parsed: ParsedFile, reading: Reading) -> Contents:
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
-    reading = replace(
-        reading,
-        units=",".join(filter(None, [table.units, reading.units])) or None,
-        columns={
-            **table.columns,
-            **parsed.settings.get("columns", {}),
-            **reading.columns,
-        },
-    )
+    of_file = {**table.columns, **parsed.settings.get("columns", {})}
+    if of_file or table.units:
+        units = ",".join(filter(None, [table.units, reading.units])) or None
+        columns_named = {**of_file, **reading.columns}
+        reading = replace(reading, units=units, columns=columns_named)
     table = _timed(table, reading, {})
     if table.has_frames:
         parsed.notes.append(Finding.note("rows-are-frames"))

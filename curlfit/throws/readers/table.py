@@ -8,7 +8,14 @@ so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -131,7 +138,8 @@ class Table:
         DataError : the file is empty or begins with numbers.
         """
         first = file.head(expected)
-        for titles, header in enumerate(lines_of_data(file, first, MOST_TITLES)):
+        candidates = islice(_each_line_of_data(file, first), MOST_TITLES)
+        for titles, header in enumerate(candidates):
             table = cls.at(file, header)
             if knows(table):
                 if titles:
@@ -425,7 +433,7 @@ class Table:
     def with_units_below(self) -> Table:
         """The table with the units of a second row in its headings, if this has
         units alone."""
-        index = next(iter(lines_of_data(self.file, self.header + 1, 1)), None)
+        index = next(_each_line_of_data(self.file, self.header + 1), None)
         if index is None:
             return self
         row = header_cells(self.file.lines[index], self.separator)
@@ -464,11 +472,15 @@ class Table:
         has one cell more than the header, and they begin with text in quotes or
         count on."""
         first_rows = lines_of_data(self.file, self.header + 1, MOST_TITLES)
-        rows = [self._cells_of(index) for index in first_rows]
         width = len(self.headings) + 1
-        if not rows or not all(len(row) == width and row[-1] for row in rows):
+        names = []
+        for index in first_rows:
+            row = self._cells_of(index)
+            if len(row) != width or not row[-1]:
+                return self
+            names.append(row[0])
+        if not names:
             return self
-        names = [row[0] for row in rows]
         in_quotes = all(
             self.file.lines[index].lstrip()[:1] == '"' for index in first_rows
         )
@@ -528,5 +540,11 @@ def lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[i
     if most is None:
         lines = file.lines
         return [k for k in range(begin, len(lines)) if not is_aside(lines[k])]
-    indices = (k for k in range(begin, len(file.lines)) if not is_aside(file.lines[k]))
-    return list(islice(indices, most))
+    return list(islice(_each_line_of_data(file, begin), most))
+
+
+def _each_line_of_data(file: TextFile, begin: int) -> Iterator[int]:
+    """The same, one after another."""
+    for index in range(begin, len(file.lines)):
+        if not is_aside(file.lines[index]):
+            yield index

@@ -119,8 +119,11 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     again = np.flatnonzero(np.diff(times) < 0) + 1
     if len(again) == 1 and _one_time_is_odd(times, int(again[0])):
         return {}
-    pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
-    if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
+    begins = again if len(again) else _returns(series)
+    if not len(begins):
+        return {}
+    pieces = np.split(np.arange(len(times)), begins)
+    if min(map(len, pieces)) < _FEWEST:
         return {}
     # Each begins within the first fifth of the previous one, unlike rows merely
     # out of order.
@@ -149,12 +152,16 @@ def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
     back by more than half the length of the path; none if it is ever as far ahead."""
     x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
     none = np.array([], int)
-    if x is None or y is None or not np.isfinite(x + y).any():
+    if x is None or y is None:
         return none
     rows = np.flatnonzero(np.isfinite(x + y))
+    if not len(rows):
+        return none
     places = np.stack([x[rows], y[rows]])
     step = np.diff(places)
     last = np.flatnonzero(np.hypot(*step) > 0.5 * np.hypot(*np.ptp(places, axis=1)))
+    if not len(last):
+        return none
     first = np.append(0, last + 1)[:-1]
     back = ((places[:, last] - places[:, first]) * step[:, last]).sum(0) < 0
     return rows[last + 1] if back.all() else none

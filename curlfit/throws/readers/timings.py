@@ -50,6 +50,7 @@ from curlfit.throws.readers.text import TextFile, is_aside
 _LINE = re.compile(
     r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
 )
+_LETTER = re.compile(r"[^\W\d_]")
 _MANY = 4  # throws of a table, from which on it is an evening
 
 
@@ -176,6 +177,8 @@ def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are those of a record or of a table of times, which may
     stand below titles."""
     for line in head[:MOST_TITLES]:
+        if not _LETTER.search(line):
+            continue  # numbers alone
         headings = headings_in(line)
         if is_header(headings):
             known = {Heading.of(heading).quantity for heading in headings}

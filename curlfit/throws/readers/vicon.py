@@ -25,8 +25,10 @@ _MOST_ABOVE_HEADER = 4
 
 def _recognizes(head: list[str]) -> bool:
     """Whether a file begins with a section of Nexus."""
+    if _cells(head[0])[0] not in _SECTIONS:
+        return False
     headers = [_cells(line)[:2] for line in head[:_MOST_ABOVE_HEADER]]
-    return _cells(head[0])[0] in _SECTIONS and ["frame", "sub frame"] in headers
+    return ["frame", "sub frame"] in headers
 
 
 def _table(file: TextFile) -> Table:
