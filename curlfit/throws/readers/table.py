@@ -544,7 +544,7 @@ def lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[i
 
 
 def _each_line_of_data(file: TextFile, begin: int) -> Iterator[int]:
-    """The same, one after another."""
+    """Indices of the lines of data from one on, found as they are asked for."""
     for index in range(begin, len(file.lines)):
         if not is_aside(file.lines[index]):
             yield index
