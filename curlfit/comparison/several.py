@@ -257,7 +257,7 @@ def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
                 follows=_follows(chi_squared, dof),
                 own_follows=_follows(own_chi_squared, own_dof),
                 rank=with_common.identifiability.rank,
-                determined=tuple(with_common.identifiability.determined()),
+                determined=tuple(with_common.identifiability.weights_of_determined()),
                 largest=_largest(law, inside, common, noise),
                 own_delta_bic=bic,
             )

@@ -82,7 +82,7 @@ class BoundedDescent(optx.AbstractDescent):
             | (lower >= upper)
         )
         square = jnp.where(held, 0.0, hessian.diagonal())
-        size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
+        column_size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
 
         def outside(held: Array, step: Array) -> Array:
             return ~held & ((step < lower) | (step > upper))
@@ -90,13 +90,12 @@ class BoundedDescent(optx.AbstractDescent):
         def narrower(held: Array, step: Array) -> tuple[Array, Array]:
             held = held | outside(held, step)
             step = jnp.where(held, jnp.clip(step, lower, upper), 0.0)
-            free = jnp.where(held, 0.0, 1 / size)
+            scale = jnp.where(held, 0.0, 1 / column_size)
             # Scaled to unit diagonal, so that the damping keeps it nonsingular.
-            matrix = hessian.scaled(
-                free, jnp.where(held, 1.0, 1 / step_size + _REGULAR)
-            )
-            right = -(gradient + hessian.mv(step)) * free
-            return held, jnp.where(held, step, matrix.solve(right) * free)
+            damping = jnp.where(held, 1.0, 1 / step_size + _REGULAR)
+            matrix = hessian.scaled(scale, damping)
+            right = -(gradient + hessian.mv(step)) * scale
+            return held, jnp.where(held, step, matrix.solve(right) * scale)
 
         start = held, jnp.zeros_like(values)
         _, step = _repeated(narrower, lambda *sets: outside(*sets).any(), start)

@@ -191,7 +191,7 @@ def probes_about(covariance: Covariance) -> list[Probe]:
     bounds; and there, along null directions, two standard errors from combinations.
     """
     bounded = covariance.information.bounded
-    determined = covariance.identifiability.determined()
+    determined = covariance.identifiability.weights_of_determined()
     steps = _steps_of(covariance, determined)
     loose_directions = _loose_directions(covariance)
     null_directions = [axis for axis, singular in loose_directions if singular == 0.0]
@@ -351,7 +351,7 @@ def _stretched_and_lost(
 ) -> tuple[dict[str, float], set[str]]:
     """What is determined to first order and less so along the ridge: how many times as
     far it moves there, and of what nothing is known."""
-    statements = covariance.identifiability.determined()
+    statements = covariance.identifiability.weights_of_determined()
     stretched: dict[str, float] = {}
     lost: set[str] = set()
     if not (ridge.points and statements):
@@ -439,7 +439,7 @@ def departures_nearby(
         for probe, rise in departing
         if probe.statement and not 1 / _MISLEADING < rise / probe.expected < _MISLEADING
     }
-    weights = covariance.identifiability.determined()
+    weights = covariance.identifiability.weights_of_determined()
     for combination in covariance.identifiability.combinations:
         row = weights[combination.expression]
         size = np.abs(row * covariance.typical[covariance.open]).max()

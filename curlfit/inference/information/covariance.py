@@ -140,7 +140,7 @@ class Covariance:
         combinations = self.identifiability.combinations
         if not combinations:
             return ()
-        statements = self.identifiability.determined()
+        statements = self.identifiability.weights_of_determined()
         weights = [statements[combination.expression] for combination in combinations]
         degrees = self.degrees_of_freedom(np.array(weights))
         return tuple(
@@ -192,7 +192,7 @@ class Covariance:
                 condition: float(row @ shift)
                 for condition, shift in by_condition.items()
             }
-            for name, row in self.identifiability.determined().items()
+            for name, row in self.identifiability.weights_of_determined().items()
         }
 
     def stderr(self, weights: Floats) -> float:

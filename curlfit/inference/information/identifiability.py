@@ -115,7 +115,7 @@ class Identifiability:
             ),
         )
 
-    def determined(self) -> dict[str, Floats]:
+    def weights_of_determined(self) -> dict[str, Floats]:
         """Weights of the parameters in what is determined: themselves and
         the combinations."""
         unit = np.eye(len(self.names))

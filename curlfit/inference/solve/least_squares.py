@@ -91,6 +91,8 @@ class Tasks(NamedTuple):
     """
 
     problems: Problem
+    """fields of shape (problems, ...), or (problems, throws, ...) with parameters in
+    common"""
     start: Floats
     """shape (problems, parameters), as the next two"""
     lower: Floats
@@ -132,7 +134,7 @@ class Tasks(NamedTuple):
         place, *others = np.unique(self.problems.loss).tolist()
         return None if others else place
 
-    def arguments(self, model: Model, control: Control) -> tuple[Any, ...]:
+    def arguments(self, model: Model, control: Control) -> ProgramArguments:
         """Of the programs that solve them."""
         penalty = self.penalty
         typical = self.typical
@@ -153,7 +155,23 @@ class Tasks(NamedTuple):
             penalty,
             self.problems,
         )
-        return model.of_program, self._loss, stacks, typical, blocks, control
+        return ProgramArguments(
+            model.of_program, self._loss, stacks, typical, blocks, control
+        )
+
+
+class ProgramArguments(NamedTuple):
+    """What the compiled programs are called with, in the order of `_solve`."""
+
+    model: Model
+    loss: int | None
+    """place among `LOSSES`; None if the problems have several"""
+    stacks: Stacks
+    """initial values, bounds, priors and problems, along the first axis"""
+    typical: Floats
+    blocks: Blocks
+    """of the parameters in common and of those of each throw"""
+    control: Control
 
 
 def _solve(
@@ -229,9 +247,11 @@ def solve(
     once : whether a program compiled quickly is better than a fast one.
     """
     program = _solve_once if once else _solve_often
-    law, loss, stacks, *common = tasks.arguments(model, how)
+    arguments = tasks.arguments(model, how)
     solutions: Solution = in_batches(
-        lambda *part: program(law, loss, part, *common), stacks, batch
+        lambda *some: program(*arguments._replace(stacks=some)),
+        arguments.stacks,
+        batch,
     )
     if model.family is not None:
         size = tasks.start.shape[-1]
