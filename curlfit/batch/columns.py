@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from curlfit.batch.settings import BatchSettings
 from curlfit.batch.table import Status
-from curlfit.inference.fit.coefficient_rows import left_open, rows_told
+from curlfit.inference.fit.coefficient_rows import all_coefficient_rows, left_open
 from curlfit.output.table import Column
 
 if TYPE_CHECKING:
@@ -91,7 +91,9 @@ def _duration(fit: FitResult) -> float:
 
 def _information(fit: FitResult) -> str:
     """Rows of numbers as one list."""
-    numbers = ", ".join(f"{number:.17g}" for number in rows_told(fit).ravel())
+    numbers = ", ".join(
+        f"{number:.17g}" for number in all_coefficient_rows(fit).ravel()
+    )
     return f"[{numbers}]"
 
 

@@ -21,7 +21,7 @@ from curlfit.numerics.arrays import Floats
 _HARDLY_TOLD = 0.5
 
 
-def rows_told(fit: FitResult, names: Sequence[str] | None = None) -> Floats:
+def all_coefficient_rows(fit: FitResult, names: Sequence[str] | None = None) -> Floats:
     """All that the throw says of the coefficients of its law, or of the named
     parameters: `coefficient_rows`, or both parts along the ridge, one after
     the other."""
@@ -37,8 +37,8 @@ def coefficient_rows(fit: FitResult, names: Sequence[str] | None = None) -> Floa
     (coefficients, coefficients + 1); errors are one."""
     names = list(fit.coefficients) if names is None else names
     information = _information_of(fit)
-    told = information.marginal(np.isin(information.names, names)).information
-    return _as_table(told.along_axes(), names)
+    marginal = information.marginal(np.isin(information.names, names)).information
+    return _as_table(marginal.along_axes(), names)
 
 
 def coefficient_rows_along_ridge(
@@ -53,8 +53,8 @@ def coefficient_rows_along_ridge(
     moves = _moves_along_ridge(fit, information.names) / information.typical
     rises = np.array([point.rise for point in fit.ridge])
     of_throw = information_along(information, moves, rises)
-    told = of_throw.marginal(np.isin(information.names, names))
-    return _as_table(told.kept, names), _as_table(told.stretched, names)
+    marginal = of_throw.marginal(np.isin(information.names, names))
+    return _as_table(marginal.kept, names), _as_table(marginal.stretched, names)
 
 
 def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
@@ -63,7 +63,7 @@ def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
     typical = np.array(
         [coefficient.typical for coefficient in fit.coefficients.values()]
     )
-    rows = rows_told(fit)[:, :-1]
+    rows = all_coefficient_rows(fit)[:, :-1]
     return standard_error(rows * typical, weights * typical)
 
 
@@ -80,9 +80,9 @@ def left_open(fit: FitResult) -> tuple[str, ...]:
     with_start_known = fit.information.matrix[np.ix_(places, places)]
     *_, null = directions_of_squares(with_start_known, typical)
     # Each of two coefficients of which only the sum enters has a share of 0.7.
-    told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
+    is_told_of = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
     open_ = []
-    for name, move, is_told in zip(names, moves, told, strict=True):
+    for name, move, is_told in zip(names, moves, is_told_of, strict=True):
         unit = np.array([1.0 if other == name else 0.0 for other in fit.coefficients])
         stderr = stderr_of_coefficients(fit, unit)
         weak = WEAK_ERROR * fit.parameters[name].typical

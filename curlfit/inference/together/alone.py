@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from curlfit.errors import CurlfitError
-from curlfit.inference.fit.coefficient_rows import rows_told
+from curlfit.inference.fit.coefficient_rows import all_coefficient_rows
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.search import fitted
 from curlfit.inference.fit.summary import summarize_many
@@ -38,7 +38,7 @@ class ThrowsAlone(NamedTuple):
     def of_fits(cls, fits: Sequence[FitResult | None], names: Sequence[str]) -> Self:
         """Of fits of each throw by itself; None of one whose fit failed."""
         values = np.zeros((len(fits), len(names)))
-        told = [np.zeros((0, len(names)))] * len(fits)
+        rows_by_throw = [np.zeros((0, len(names)))] * len(fits)
         typical = np.ones(len(names))
         stated: list[dict[str, float]] = [{} for _ in fits]
         for place, fit in enumerate(fits):
@@ -46,18 +46,19 @@ class ThrowsAlone(NamedTuple):
                 parameters = [fit.parameters[name] for name in names]
                 values[place] = [item.value for item in parameters]
                 typical = np.array([item.typical for item in parameters])
-                told[place] = rows_told(fit, names)[:, :-1]
+                rows_by_throw[place] = all_coefficient_rows(fit, names)[:, :-1]
                 stated[place] = _stated_errors(fit)
-        rows = np.zeros((len(fits), max(map(len, told)), len(names)))
-        for of_throw, own in zip(rows, told, strict=True):
-            of_throw[: len(own)] = own
+        most = max(map(len, rows_by_throw))
+        rows = np.zeros((len(fits), most, len(names)))
+        for place, of_throw in enumerate(rows_by_throw):
+            rows[place, : len(of_throw)] = of_throw
         return cls(values, rows, typical, stated)
 
     def estimates(
         self, expression: str, weights: Floats
     ) -> list[tuple[float, float] | None]:
         """A weighted sum of the parameters and its standard error from each throw."""
-        by_rows = errors_told(self.rows, weights, self.typical)
+        by_rows = errors_by_rows(self.rows, weights, self.typical)
         errors = [
             stated.get(expression, error)
             for stated, error in zip(self.stated, by_rows, strict=True)
@@ -80,7 +81,9 @@ def _stated_errors(fit: FitResult) -> dict[str, float]:
     }
 
 
-def errors_told(rows: Floats, weights: Floats, typical: Floats) -> list[float | None]:
+def errors_by_rows(
+    rows: Floats, weights: Floats, typical: Floats
+) -> list[float | None]:
     """Standard error of a weighted sum of parameters, as the rows of each throw tell
     it; None where they do not."""
     return [standard_error(of_throw * typical, weights * typical) for of_throw in rows]

@@ -69,7 +69,7 @@ class Season(NamedTuple):
     """initial states, shape (throws, 6)"""
     durations: Floats
     """of the records, s"""
-    told: Floats
+    coefficient_rows: Floats
     """by each, see `coefficient_rows`; of a throw with a ridge, the first
     part of `coefficient_rows_along_ridge` (`inference.fit.coefficient_rows`)"""
     notes: tuple[Finding, ...]
@@ -85,8 +85,8 @@ class Season(NamedTuple):
         """All that throws say of the coefficients, with a share of what they say
         roughly."""
         if not self.stretched.any():
-            return self.told
-        return np.concatenate([self.told, share**0.5 * self.stretched], 1)
+            return self.coefficient_rows
+        return np.concatenate([self.coefficient_rows, share**0.5 * self.stretched], 1)
 
     @property
     def share(self) -> float:
@@ -147,7 +147,7 @@ class Season(NamedTuple):
         ]
         return SeparateFits(
             file=self.file,
-            throws=len(self.told),
+            throws=len(self.coefficient_rows),
             stone=self.stone,
             notes=self.notes,
             starts=tuple(starts),
@@ -166,15 +166,15 @@ def _linearized(season: Season, share: float) -> LinearizedThrows:
     lower = np.array([coefficient.lower for coefficient in laws_coefficients])
     upper = np.array([coefficient.upper for coefficient in laws_coefficients])
     reference = np.clip(np.median(season.values, axis=0), lower, upper)
-    told = season.rows(share)
-    rows = told[..., :-1]
+    table = season.rows(share)
+    rows = table[..., :-1]
     free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
     bounded = Bounded(
         season.values,
         np.broadcast_to(np.where(free, lower, reference), season.values.shape),
         np.broadcast_to(np.where(free, upper, reference), season.values.shape),
     )
-    residual = (rows @ season.values[..., None])[..., 0] - told[..., -1]
+    residual = (rows @ season.values[..., None])[..., 0] - table[..., -1]
     names = [coefficient.name for coefficient in laws_coefficients]
     information = Information.of(names, bounded, typical, rows, residual)
     return LinearizedThrows(information, reference)
@@ -223,7 +223,7 @@ def mean_of(
     InputError : too few throws; labels that a throw lacks, or that give no groups or
         numbers; throws that determine nothing.
     """
-    count = len(season.told)
+    count = len(season.coefficient_rows)
     if count < _FEWEST:
         raise InputError(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"

@@ -84,11 +84,11 @@ def about_mean(
     common = np.ones(len(names) + len(START), bool)
     common[len(names) :] = False
     least = {} if ridge is None else errors_of_draw(ridge, draw, common)
-    told = _Quantities.of(
+    quantities = _Quantities.of(
         means, found, draw, units, draws, least, open_along, undetermined
     )
-    groups, differences, trend = map(tuple, told.effects())
-    slope_differences = _slope_differences(told, found, covariates)
+    groups, differences, trend = map(tuple, quantities.effects())
+    slope_differences = _slope_differences(quantities, found, covariates)
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
@@ -121,7 +121,7 @@ def about_mean(
         groups=groups,
         differences=differences,
         trend=trend,
-        slopes=tuple(told.slopes_of_groups(covariates.trend_by)),
+        slopes=tuple(quantities.slopes_of_groups(covariates.trend_by)),
         slope_differences=tuple(slope_differences),
     )
     if draws is None:
@@ -249,20 +249,20 @@ class _Quantities(NamedTuple):
             rough = unseen | (errors >= _ROUGH * np.abs(drawn[0]))
             unknown = set(itertools.compress(DRAW, rough)) - {"friction"}
             shown = [name for name in shown if name not in unknown]
-        told = [name for name in found.weights if name not in undetermined]
-        weights = np.array([found.weights[name] for name in told])
-        weights = weights.reshape(len(told), size)
+        known = [name for name in found.weights if name not in undetermined]
+        weights = np.array([found.weights[name] for name in known])
+        weights = weights.reshape(len(known), size)
         return cls(
             means,
             draw,
-            {name: units.get(name, "1") for name in told}
+            {name: units.get(name, "1") for name in known}
             | {name: DRAW[name] for name in shown},
             weights,
             np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
             found.scale * (draws.estimate - found.fit.estimate)
             if draws
             else np.zeros((0, size)),
-            np.array([least.get(name, 0.0) for name in (*told, *shown)]),
+            np.array([least.get(name, 0.0) for name in (*known, *shown)]),
         )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:
@@ -376,7 +376,7 @@ class _Quantities(NamedTuple):
 
 
 def _slope_differences(
-    told: _Quantities, found: Population, covariates: Covariates
+    of_equal_slopes: _Quantities, found: Population, covariates: Covariates
 ) -> list[Effect]:
     """The differences of slopes between the groups of each label. Where all groups of a
     label have one slope, they are those of a second fit, to the same quadratics of the
@@ -385,15 +385,17 @@ def _slope_differences(
         return []
     differences: list[Effect] = []
     for label in covariates.groups:
-        quantities = told
+        quantities = of_equal_slopes
         if label not in covariates.trend_by:
             own_slopes = with_own_slopes(found.fit, covariates, label)
             if own_slopes is None:
                 continue
             population = found._replace(fit=own_slopes.fit)
+            equal_means = of_equal_slopes.means
             means = population.means(
-                told.means.names, own_slopes.covariates, told.means.angle
+                equal_means.names, own_slopes.covariates, equal_means.angle
             )
-            quantities = told._replace(means=means, off=told.off[:0])
+            none_off = of_equal_slopes.off[:0]
+            quantities = of_equal_slopes._replace(means=means, off=none_off)
         differences += quantities.slopes_of_groups([label], compared=True)
     return differences

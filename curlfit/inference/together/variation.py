@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.verdict import Verdict
-from curlfit.inference.together.alone import ThrowsAlone, errors_told
+from curlfit.inference.together.alone import ThrowsAlone, errors_by_rows
 from curlfit.inference.together.result import Variation
 from curlfit.numerics.arrays import Floats
 
@@ -62,7 +62,7 @@ def variations_of(
     """
     variations = {}
     for expression, of_sum in weights.items():
-        errors = errors_told(jointly, of_sum, alone.typical)
+        errors = errors_by_rows(jointly, of_sum, alone.typical)
         each = [
             None if error is None else estimate
             for estimate, error in zip(
@@ -101,8 +101,8 @@ class Varying(NamedTuple):
         """What enough throws tell of within the joint fit."""
         first_spreads = {}
         for expression, of_sum in weights.items():
-            told = errors_told(jointly, of_sum, typical)
-            errors = [error for error in told if error is not None]
+            errors_or_none = errors_by_rows(jointly, of_sum, typical)
+            errors = [error for error in errors_or_none if error is not None]
             if len(errors) >= _FEWEST:
                 least = _LEAST_SPREAD * float(np.median(errors))
                 variation = variations.get(expression)
