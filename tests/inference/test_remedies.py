@@ -11,7 +11,7 @@ import curlfit
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.entries import FurtherMeasurement
 from curlfit.inference.fit.result import load_fit
-from curlfit.reports.determined import identifiability
+from curlfit.reports.determined import sentences_on
 
 TIMES = T[:151]
 SPLIT = FurtherMeasurement(("mu1_eta", "mu2_eta"), (), all=False)
@@ -65,7 +65,7 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
 def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_path):
     found = fitted(seen, "x", "y", "phi")
     assert found.remedies == (SPLIT,)
-    assert "curlfit design --separate mu1_eta,mu2_eta" in identifiability(found)
+    assert "curlfit design --separate mu1_eta,mu2_eta" in sentences_on(found)
     found.save(tmp_path / "fit.json")
     assert load_fit(tmp_path / "fit.json").remedies == found.remedies
 

@@ -21,7 +21,7 @@ from curlfit.inference.fit.residuals import outliers_of
 from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.losses import LINEAR
 from curlfit.profile_likelihood.result import levels_of
-from curlfit.reports.determined import identifiability
+from curlfit.reports.determined import sentences_on
 
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05}
 START = {"x0": 0.0, "y0": 0.0, "heading": 0.02, "v0": 2.1, "phi0": 0.0, "omega0": 1.3}
@@ -162,12 +162,12 @@ def test_a_weak_parameter_says_why():
     # as far as the same path of a stone that turns the other way
     assert weak.stderr == pytest.approx(2 * abs(weak.value), rel=0.05)
     assert weak.verdict == "weak"
-    assert f"omega0 is weakly determined: {weak.reason}" in identifiability(fit)
+    assert f"omega0 is weakly determined: {weak.reason}" in sentences_on(fit)
     # the same of two parameters
     reason = "its standard error is more than half its typical size, 1"
     weak = replace(weak, reason=reason)
     fit = replace(fit, parameters=fit.parameters | {"omega0": weak})
-    said = identifiability(replace(fit, parameters=fit.parameters | {"v0": weak}))
+    said = sentences_on(replace(fit, parameters=fit.parameters | {"v0": weak}))
     assert (
         "are weakly determined: for each, its standard error is more than half" in said
     )
