@@ -126,6 +126,17 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     assert wider.rank == 2  # a room of 0.28 standard errors
 
 
+def test_the_singular_values_of_what_is_determined_come_first():
+    """The bounds leave b a twentieth of its standard error; c, known less, has none."""
+    jacobian = np.diag([10.0, 0.5, 0.02])
+    lower = np.array([-9.0, 0.0, -1e6])
+    upper = np.array([9.0, 0.1, 1e6])
+    values = np.array([0.0, 0.05, 0.0])
+    found = determined_by(jacobian, ["a", "b", "c"], values, np.ones(3), lower, upper)
+    assert found.rank == 2
+    assert found.singular_values == pytest.approx([10.0, 0.02, 0.5])
+
+
 def noisy(law, omega):
     return filmed(law, 2, v=2.0, omega=omega, times=TIMES[::2]).with_sigma(NOISE)
 
