@@ -45,8 +45,11 @@ def assessed(
     along : what the ridge of the fit says of it, if there is one.
     """
     estimates = first_order.parameters
-    used = {key for key, slope in gradient.items() if slope}
-    free = [key for key in gradient if key in used and estimates[key].verdict.is_free]
+    free = [
+        key
+        for key, slope in gradient.items()
+        if slope and estimates[key].verdict.is_free
+    ]
     if not free:
         return Derived(name, value, None, Verdict.FIXED)
     on_tangent = seen and first_order.sees(gradient)

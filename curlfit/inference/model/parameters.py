@@ -174,9 +174,9 @@ class ParameterSet:
                 parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
         if not throw.has_path:
             parameters = parameters._with_heading_of_events(law, throw, named)
-            parameters._require_free()
-            return parameters
         parameters._require_free()
+        if not throw.has_path:
+            return parameters
         free = int(parameters.free.sum())
         rows = int(throw.finite.any(0).sum())
         needed = max(free, FEWEST_ROWS)

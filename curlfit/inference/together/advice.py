@@ -43,7 +43,7 @@ def with_throws(
         status = f"{refused[0].data.file}: {refused[0].status}"
         if len(refused) > 1:
             others = counted(len(refused) - 1, "other throw")
-            status += f". {others.capitalize()} cannot be used either"
+            status += f". {others} cannot be used either"
     result = replace(
         result,
         throws=tuple(throws),
