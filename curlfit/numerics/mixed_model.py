@@ -13,7 +13,7 @@ these by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -246,12 +246,20 @@ def bounded(
 
 @dataclass(frozen=True, eq=False)
 class MixedFit:
-    """The estimate of a mixed model; the mean of each block is within the bounds."""
+    """The estimate of a mixed model; the mean of each block is within the bounds.
+
+    A number of the mean that is cut keeps its variance whatever the blocks say of it,
+    and its uncertainty is in those that depend on it (the cut model of Plummer 2015,
+    Statistics and Computing 25, 37).
+    """
 
     model: MixedModel
     variances: Floats
     lower: Floats
     upper: Floats
+    cut: Floats = field(default_factory=lambda: np.zeros(0))
+    """variances that numbers of the mean keep, zero of those that are not cut; empty
+    where none is"""
 
     @cached_property
     def _each(self) -> Floats:
@@ -282,7 +290,7 @@ class MixedFit:
         """Of the estimate along what is determined, while what is at a bound
         stays there."""
         normal = self.model.parts(self._each.sum(0))[0]
-        found: Any = np.linalg.inv(normal)
+        found = self._with_cut(np.linalg.inv(normal))
         to_held = self._bounded[1] @ found
         found = (
             found - to_held.T @ np.linalg.pinv(to_held @ self._bounded[1].T) @ to_held
@@ -298,7 +306,7 @@ class MixedFit:
         null directions."""
         normal, right, _ = self.model.parts(self._each.sum(0))
         matrix: Any = np.linalg.inv(normal)
-        return matrix @ right, matrix
+        return matrix @ right, self._with_cut(matrix)
 
     def at(self, covariates: Floats) -> Floats:
         """Matrix from the estimate to the mean where the covariates have some values,
@@ -307,13 +315,31 @@ class MixedFit:
 
     def predicted_by_others(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the vector of each block before its own observations;
-        along the null directions the variance is one."""
+        along the null directions the variance is one. What is cut has the variance that
+        the model gives it."""
         normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])
         directions = self.model.directions
         between = directions * self.variances @ directions.T
         return mean[..., 0], to @ np.linalg.inv(normal) @ to.mT + between
+
+    def following(self, matrix: Any) -> Floats:
+        """By how much the estimate follows the numbers that are cut, shape
+        (..., numbers, cut), from its covariances without the cut."""
+        which = np.flatnonzero(self.cut)
+        columns = matrix[..., which]
+        followed: Floats = columns @ np.linalg.inv(columns[..., which, :])
+        return followed
+
+    def _with_cut(self, matrix: Any) -> Any:
+        """Covariances of the estimate in which what is cut has its own variance."""
+        if not self.cut.any():
+            return matrix
+        which = np.flatnonzero(self.cut)
+        followed = self.following(matrix)
+        more = np.diag(self.cut[which]) - matrix[..., which[:, None], which]
+        return matrix + followed @ more @ followed.mT
 
 
 def _sides(to: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:

@@ -55,7 +55,8 @@ def test_what_the_draws_do_not_tell_is_in_the_error_of_friction_not_of_the_diffe
     joint = fitted("D05", by="sheet", trend="start")
     exponent = joint.coefficients["k"]
     assert exponent.verdict == "prior"
-    assert 0.15 < exponent.stderr < 0.25
+    assert exponent.value == pytest.approx(-0.25, abs=1e-3)
+    assert exponent.stderr == pytest.approx(0.25, rel=1e-6)
     (mean,) = (
         one for one in joint.groups if one.parameter == "friction" and not one.by
     )
@@ -70,6 +71,32 @@ def test_two_times_tell_how_friction_depends_on_speed():
     (time,) = (one for one in joint.groups if one.parameter == "hog_to_hog")
     assert abs(time.value - 12.86) < 2 * time.stderr
     assert time.stderr < 0.06
+
+
+def test_what_one_draw_does_not_tell_no_comparison_of_draws_tells():
+    """Of each throw, too, the exponent of friction is what is usual, and its friction
+    moves with it."""
+    joint = fitted("slip")
+    throw = joint.throws[1]
+    for record in (joint.coefficients, throw.parameters):
+        assert record["k"].value == pytest.approx(-0.25, abs=1e-3)
+        assert record["k"].stderr == pytest.approx(0.25, rel=1e-6)
+        assert record["k"].verdict == "prior"
+    by_name = dict(zip(throw.covariance.names, throw.covariance.matrix, strict=True))
+    of_k = by_name["k"][throw.covariance.names.index("k")]
+    assert of_k == pytest.approx(0.25**2, rel=1e-6)
+    slower = fitted("slip", fix={"k": -0.35}).coefficients["c"].value
+    faster = fitted("slip", fix={"k": -0.15}).coefficients["c"].value
+    held = fitted("slip", fix={"k": -0.25}).coefficients["c"]
+    of_exponent = (faster - slower) / 0.2 * 0.25
+    expected = (held.stderr**2 + of_exponent**2) ** 0.5
+    assert joint.coefficients["c"].value == pytest.approx(held.value, rel=1e-3)
+    assert joint.coefficients["c"].stderr == pytest.approx(expected, rel=0.02)
+
+
+def test_an_exponent_with_a_prior_of_its_own_is_told_by_the_draws():
+    joint = fitted("slip", priors={"k": "-0.25+-0.25"})
+    assert joint.coefficients["k"].stderr < 0.22
 
 
 def test_one_time_of_a_draw_that_stopped_short_leads_no_search_astray():

@@ -6,7 +6,7 @@ from scipy.stats import t as student
 
 from curlfit.inference.together.effects import Means
 from curlfit.inference.together.posterior import sampled
-from curlfit.numerics.mixed_model import MixedModel
+from curlfit.numerics.mixed_model import MixedFit, MixedModel
 
 
 def test_a_forecast_is_as_wide_as_the_spread_is_uncertain():
@@ -48,3 +48,27 @@ def test_a_forecast_is_as_wide_as_the_spread_is_uncertain():
         reach = 3 * np.sqrt(level * (1 - level) / 1000)
         below = np.mean(forecast[:, 0] < expected.ppf(level))
         assert below == pytest.approx(level, abs=reach)
+
+
+def test_draws_contain_the_uncertainty_of_what_throws_do_not_tell():
+    """The second number is cut: it keeps its standard deviation of 0.3, and the first
+    moves with it by half."""
+    random = np.random.default_rng(4)
+    number = 12
+    rows = np.tile([10.0, 5.0], (number, 1, 1))
+    target = (rows @ np.array([1.0, 2.0]))[:, :] + random.normal(size=(number, 1))
+    model = MixedModel.of(
+        rows,
+        target,
+        np.array([[1.0], [0.0]]),
+        np.zeros((number, 0)),
+        prior=(np.array([[0.0, 1e4]]), np.array([2e4])),
+    )
+    far = np.full(2, 100.0)
+    variances = model.variances(np.array([0.04]))
+    fit = MixedFit(model, variances, -far, far, cut=np.array([0.0, 0.3**2]))
+    draws = sampled(fit, np.array([0.2]), seed=1)
+    first, second = draws.estimate.T
+    assert second.std() == pytest.approx(0.3, rel=0.04)
+    slope, _ = np.polyfit(second, first, 1)
+    assert slope == pytest.approx(-0.5, abs=0.02)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import LinearConstraint, approx_fprime, minimize
 from scipy.stats import multivariate_normal
 
-from curlfit.numerics.mixed_model import MixedModel, within
+from curlfit.numerics.mixed_model import MixedFit, MixedModel, within
 
 MEAN, EFFECTS, SPREADS = (
     np.array([1.0, 2.0, 0.3]),
@@ -108,6 +108,30 @@ def test_a_block_before_its_own_observations_is_as_without_it():
     assert mean[0] == pytest.approx(to @ best, abs=1e-6)
     between = DIRECTIONS * found.variances @ DIRECTIONS.T
     assert matrix[0] == pytest.approx(to @ covariance @ to.T + between, abs=1e-6)
+
+
+def test_what_is_cut_keeps_its_variance_and_the_others_follow_it():
+    """The estimate is that with the third number held at 0.5, and its uncertainty of
+    0.2 moves the others as they follow it."""
+    rows, target, covariates, _ = simulated(30, 8)
+    held = np.array([[0.0, 0.0, 1e3]]), np.array([0.5e3])
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates, held)
+    anywhere = np.full(3, np.inf)
+    cut = np.array([0.0, 0.0, 0.2**2])
+    found = MixedFit(model, SPREADS**2, -anywhere, anywhere, cut)
+    _, best, covariance = dense(rows, target, covariates, SPREADS**2)
+
+    def where_the_third_is(value):
+        return best + covariance[:, 2] / covariance[2, 2] * (value - best[2])
+
+    moved = where_the_third_is(0.7) - where_the_third_is(0.5)
+    given_the_third = (
+        covariance - np.outer(covariance[2], covariance[2]) / covariance[2, 2]
+    )
+    assert found.estimate == pytest.approx(where_the_third_is(0.5), abs=1e-4)
+    expected = given_the_third + np.outer(moved, moved)
+    assert found.covariance == pytest.approx(expected, abs=1e-4)
+    assert found.unbounded[1] == pytest.approx(expected, abs=1e-4)
 
 
 def test_without_deviations_their_size_is_zero_in_half_of_the_cases():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any, NamedTuple, Self
 
@@ -397,7 +397,7 @@ def with_own_slopes(
     )
     # a spread that is zero beside one slope has a tenth of an error to start from
     guess = np.maximum(fit.variances, 0.01 * model.typical)
-    refitted = MixedFit(model, model.variances(guess), fit.lower, fit.upper)
+    refitted = replace(fit, model=model, variances=model.variances(guess))
     return OwnSlopes(refitted, own_slopes)
 
 

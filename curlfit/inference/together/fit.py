@@ -24,6 +24,7 @@ from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
+from curlfit.inference.model.priors import Normal
 from curlfit.inference.model.problem import problem_shape, shape_of_all
 from curlfit.inference.model.request import Request
 from curlfit.inference.solve.least_squares import Indices, Solution, Tasks
@@ -31,7 +32,7 @@ from curlfit.inference.together.advice import with_throws
 from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.together.draw import Draw
 from curlfit.inference.together.effects import Covariates
-from curlfit.inference.together.evening import same_in_all
+from curlfit.inference.together.evening import same_in_all, with_untold
 from curlfit.inference.together.population import Together, vary
 from curlfit.inference.together.posterior import drawn_for_others, sampled
 from curlfit.inference.together.request import VARYING, JointRequest
@@ -134,10 +135,10 @@ def fit_joint_request(
     together = solved_together(
         request.throws, request.shared, request.covariates, progress
     )
-    equal = _equal(together, first.systematics)
+    equal = _equal(together, first.systematics, request.untold)
     result = equal.result
     if equal.varying.weights and request.may_vary:
-        result = _varying(together, equal, seed)
+        result = _varying(together, equal, request.untold, seed)
     if not result.converged:  # nothing is told of what was not found
         result = replace(
             result,
@@ -244,7 +245,11 @@ class _Equal(NamedTuple):
     """None where chi squared is a quadratic"""
 
 
-def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
+def _equal(
+    together: Together,
+    given: Mapping[str, float] | None,
+    untold: Mapping[str, Normal],
+) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
     stack, tasks, solution, common, covariates = together
@@ -294,6 +299,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     }
     of_all = first_request.parameters.values_of(solution.values[0])
     same_values = {name: of_all[name] for name in same_names}
+    same_values |= {name: prior.mean for name, prior in untold.items()}
     alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
     of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
     jointly = marginal.information.slopes * of_each
@@ -359,13 +365,18 @@ def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
     return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
 
 
-def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult:
+def _varying(
+    together: Together,
+    equal: _Equal,
+    untold: Mapping[str, Normal],
+    seed: int | None,
+) -> JointResult:
     """The result where what the throws determine varies about its mean, which is as
     free along the ridge as equal coefficients are."""
     weights, guess = equal.varying
     ridge = equal.ridge
     try:
-        found, solution, others = vary(together, weights, guess)
+        found, solution, others = vary(together, weights, guess, untold)
     except np.linalg.LinAlgError:
         raise UnusableFitError(
             "how these throws vary cannot be estimated: their coefficients become "
@@ -380,7 +391,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         if not any(one.throw.has_path for one in together.stack.requests):
             of_others = drawn_for_others(found.fit, guess, draws)
     throws = [
-        replace(one, systematics=before.systematics)
+        replace(with_untold(one, untold), systematics=before.systematics)
         for one, before in zip(
             _summarized(together, solution, others=others, ridges=ridges),
             equal.result.throws,
@@ -399,4 +410,9 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         ridge,
         of_others=of_others,
     )
+    coefficients = {
+        name: replace(item, verdict=Verdict.PRIOR) if name in untold else item
+        for name, item in result.coefficients.items()
+    }
+    result = replace(result, coefficients=coefficients)
     return with_throws(result, throws, solution)

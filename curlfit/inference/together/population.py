@@ -21,7 +21,7 @@ from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.directions import r_factor
 from curlfit.inference.information.information import Information, Marginal
-from curlfit.inference.model.priors import Penalty
+from curlfit.inference.model.priors import Normal, Penalty
 from curlfit.inference.solve.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.together.effects import Covariates, Means
 from curlfit.inference.together.posterior import Draws
@@ -39,6 +39,9 @@ _ENDED = 0.1  # the same, which is little
 _AT = 1e-9  # typical sizes from a bound
 _DRAWN = 400  # draws from the posterior, for predictions
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
+_SHARPER = 1e3
+"""Times by which the prior of what is cut is narrower while the rest is estimated: the
+throws do not move it by more than 1e-3 of its standard deviation."""
 
 
 class Population(NamedTuple):
@@ -53,7 +56,7 @@ class Population(NamedTuple):
     weights: dict[str, Floats]
     """of the common parameters in the coefficients and combinations that vary"""
     of_data: MixedFit
-    """the fit without priors"""
+    """the fit without priors but of what is cut"""
 
     @property
     def spreads(self) -> Floats:
@@ -183,6 +186,9 @@ class LinearizedThrows(NamedTuple):
     prior: tuple[Floats, Floats] | None = None
     """rows of what is known of the mean besides, in typical sizes, and what they then
     give for the distance from the reference"""
+    cut: Floats = np.zeros(0)
+    """variances, in typical sizes squared, that parameters of the mean keep whatever
+    the throws say of them; zero of those that the throws tell"""
 
     @property
     def typical(self) -> Floats:
@@ -258,10 +264,11 @@ class LinearizedThrows(NamedTuple):
         """
         model = self._model(weights, covariates, self.prior)
         variances = model.variances(spreads**2) if len(spreads) else spreads
-        fit = of_data = MixedFit(model, variances, *self.ends)
+        fit = of_data = MixedFit(model, variances, *self.ends, self.cut)
         if self.prior is not None:
-            without_prior = self._model(weights, covariates, None)
-            of_data = MixedFit(without_prior, variances, *self.ends)
+            rows, target = self.prior
+            of_cut = rows[self.cut > 0], target[self.cut > 0]
+            of_data = replace(fit, model=self._model(weights, covariates, of_cut))
         return Population(
             fit, self.reference, self.typical, self.bounds, dict(weights), of_data
         )
@@ -280,7 +287,10 @@ class LinearizedThrows(NamedTuple):
 
 
 def vary(
-    throws: Together, weights: Mapping[str, Floats], guess: Floats
+    throws: Together,
+    weights: Mapping[str, Floats],
+    guess: Floats,
+    untold: Mapping[str, Normal],
 ) -> tuple[Population, Solution, Information]:
     """The mean of throws and their deviations from it; the throws at their own
     coefficients; and what the others say of the coefficients of each.
@@ -294,15 +304,19 @@ def vary(
     ----------
     weights : of the parameters in common in what varies, by expression.
     guess : standard deviations between throws.
+    untold : priors of parameters in common of which the throws tell nothing.
     """
     tasks, solution, common = throws.tasks, throws.solution, throws.common
     typical, reference = tasks.typical[common], solution.values[0, common]
     covariates = throws.covariates.values
+    names = throws.stack.requests[0].parameters.names_where(common)
+    deviations = [untold[name].sd if name in untold else 0.0 for name in names]
+    cut = (np.array(deviations) / typical) ** 2
     centre, projection = reference, None
     for linearization in itertools.count():
         solution = throws.stack.with_own_sigma(solution)
         marginal = marginal_of(throws, solution)
-        linear = _about(throws, marginal.information, centre)
+        linear = _about(throws, marginal.information, centre, cut)
         if projection is None:
             projection = linear.projection(weights, covariates, guess)
         linear = linear.along(projection)
@@ -327,10 +341,11 @@ def vary(
 
 
 def _about(
-    throws: Together, information: Information, centre: Floats
+    throws: Together, information: Information, centre: Floats, cut: Floats
 ) -> LinearizedThrows:
     """Throws of which this is known of the parameters in common, with their priors
-    about the mean `centre`."""
+    about the mean `centre`; those of what is cut hold it while the rest is estimated.
+    """
     tasks, common = throws.tasks, throws.common
     typical = tasks.typical[common]
     reference = throws.solution.values[0, common]
@@ -338,9 +353,10 @@ def _about(
     penalty = tasks.penalty.at((0, common))
     if penalty.informative:
         off, slope = penalty.residual_and_slope(centre)
-        of_prior = np.diag(slope * typical)
-        prior = of_prior, of_prior @ ((centre - reference) / typical) - off
-    return LinearizedThrows(information, reference, prior)
+        sharper = np.where(cut > 0, _SHARPER, 1.0)
+        of_prior = np.diag(sharper * slope * typical)
+        prior = of_prior, of_prior @ ((centre - reference) / typical) - sharper * off
+    return LinearizedThrows(information, reference, prior, cut)
 
 
 def at_coefficients(throws: Together, values: Floats) -> Solution:

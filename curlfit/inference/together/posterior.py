@@ -144,7 +144,8 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     ):
         mean, root = _given(model, some)
         noise = random.standard_normal((*mean.shape, 1))
-        estimates.append(mean + np.linalg.solve(root.mT, noise)[..., 0])
+        drawn = mean + np.linalg.solve(root.mT, noise)[..., 0]
+        estimates.append(drawn + _off_by_cut(fit, root, random))
     estimate = np.concatenate(estimates)
     means = fit.at(np.unique(model.covariates, axis=0)) @ estimate.T
     beyond = (means < fit.lower[:, None]) | (means > fit.upper[:, None])
@@ -153,6 +154,17 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     if inside.sum() <= _FEWEST:
         return None
     return Draws(estimate[inside], found[inside], worst, seed=seed)
+
+
+def _off_by_cut(fit: MixedFit, root: Floats, random: np.random.Generator) -> Any:
+    """By how much draws of the estimate, of which these are roots of the information,
+    are off for what is cut; zero where nothing is."""
+    if not fit.cut.any():
+        return 0.0
+    deviations = np.sqrt(fit.cut[fit.cut > 0])
+    of_cut = deviations * random.standard_normal((len(root), len(deviations)))
+    followed = fit.following(np.linalg.inv(root @ root.mT))
+    return (followed @ of_cut[..., None])[..., 0]
 
 
 def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:

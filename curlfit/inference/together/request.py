@@ -10,9 +10,10 @@ from curlfit.errors import InputError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law
 from curlfit.inference.derived.derive import check_derived
+from curlfit.inference.model.priors import Normal
 from curlfit.inference.model.request import Request
 from curlfit.inference.together.effects import Covariates
-from curlfit.inference.together.evening import with_usual_priors
+from curlfit.inference.together.evening import untold, with_usual_priors
 from curlfit.settings.choices import Fitting
 from curlfit.throws.throw import Throw, require_throw
 
@@ -31,12 +32,14 @@ class JointRequest:
     shared : coefficients that are equal in all throws, or have a common mean.
     may_vary : whether the coefficients are searched for what varies about a mean.
     covariates : groups and trends on which the means depend.
+    untold : priors of coefficients of which the throws tell nothing.
     """
 
     throws: tuple[Request, ...]
     shared: tuple[str, ...]
     may_vary: bool
     covariates: Covariates
+    untold: dict[str, Normal]
 
     @classmethod
     def of(
@@ -70,6 +73,7 @@ class JointRequest:
         chosen = [Fitting.of(throw.settings, **of_all) for throw in throws]
         differ = bool(by or trend)
         shared = _shared(law, share or "all", chosen[0], mean=differ)
+        without_usual = chosen
         chosen = with_usual_priors(throws, chosen, law)
         covariates = Covariates.of(
             [(throw.name, throw.labels) for throw in throws], by, trend, trend_by
@@ -80,6 +84,7 @@ class JointRequest:
             shared=shared,
             may_vary=differ or (usual and not chosen[0].loss.is_robust),
             covariates=covariates,
+            untold=untold(throws, without_usual, law),
         )
 
 
