@@ -22,6 +22,7 @@ from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.covariance import Covariance
+from curlfit.inference.information.information import Marginal
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.priors import Normal
@@ -253,64 +254,61 @@ def _equal(
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
     stack, tasks, solution, common, covariates = together
-    widths = widths_of(stack.model, given, stack.requests, jointly=True)
-    joint_ridges: list[JointRidge] = []
-
-    def ridges(stderr: dict[int, float]) -> list[Ridge]:
-        joint_ridges.append(follow_jointly(together, solution, stderr))
-        return joint_ridges[-1].of_throws
-
-    first_request = stack.requests[0]
+    parameters = stack.requests[0].parameters
+    shared = tuple(parameters.names_where(common))
     same_names = same_in_all(
         [request.throw for request in stack.requests], stack.model.law
     )
-    same = np.isin(first_request.parameters.names, [*same_names])
+    same = np.isin(parameters.names, [*same_names])
     # With what is usual as a prior, an evening of draws is near a quadratic.
-    evening = same.any() and len(stack.requests) >= VARYING
-    throws = _summarized(
-        together,
-        solution,
-        widths=widths,
-        common=common,
-        ridges=None if evening else ridges,
-    )
-    ridge = joint_ridges[-1] if joint_ridges else None
-    first, parameters = throws[0], first_request.parameters
-    shared = tuple(parameters.names_where(common))
+    is_evening = bool(same.any()) and len(stack.requests) >= VARYING
+    throws, ridge = _throws_and_ridge(together, given, quadratic=is_evening)
+    first = throws[0]
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(
         item for item in first.combinations if set(item.weights) <= set(shared)
     )
     marginal = together.information(solution).marginal(common)
-    verdicts = {name: one.verdict for name, one in coefficients.items()}
+    verdicts = {name: item.verdict for name, item in coefficients.items()}
     if tasks.penalty.informative:
         by_data = Covariance.of(marginal.information.together().held(same[common]))
         departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
-        not_varying = {*same_names, *first_request.parameters.fixed}
+        not_varying = {*same_names, *parameters.fixed}
         verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
         by_expression = {
             item.expression: item
             for item in (*departures.kept(by_data.combinations), *combinations)
         }
         combinations = tuple(by_expression.values())
-    known_weights = weights_of_known(verdicts, combinations, shared)
     weights = {
-        name: own for name, own in known_weights.items() if not own[same[common]].any()
+        expression: of_sum
+        for expression, of_sum in weights_of_known(
+            verdicts, combinations, shared
+        ).items()
+        if not of_sum[same[common]].any()
     }
-    of_all = first_request.parameters.values_of(solution.values[0])
-    same_values = {name: of_all[name] for name in same_names}
-    same_values |= {name: prior.mean for name, prior in untold.items()}
-    alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
-    of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
-    jointly = marginal.information.slopes * of_each
+
+    best = parameters.values_of(solution.values[0])
+    held = {name: best[name] for name in same_names}
+    held |= {name: prior.mean for name, prior in untold.items()}
+    alone = ThrowsAlone.of_fits(fitted_alone(together, held), shared)
+    may_differ = (tasks.upper > tasks.lower)[0, common] & ~same[common]
+    jointly = marginal.information.slopes * may_differ
     variations = variations_of(alone, jointly, weights, covariates.values)
-    among = {name: item for name, item in variations.items() if item.significant}
-    open_ = np.array(
-        [np.isin(parameters.names, one.covariance.names) for one in throws]
-    )
+    of_law = np.isin(shared, [item.name for item in stack.model.law.coefficients()])
+    may_vary = {
+        expression: of_sum
+        for expression, of_sum in weights.items()
+        if not of_sum[~of_law].any()
+    }
+    varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
+
+    differing = {name: item for name, item in variations.items() if item.significant}
     named = {*shared, *(item.expression for item in combinations)}
     shifts = {
-        name: by for name, by in first.systematics.shifts.items() if name in named
+        name: by_condition
+        for name, by_condition in first.systematics.shifts.items()
+        if name in named
     }
     result = JointResult(
         law=first.law,
@@ -320,22 +318,55 @@ def _equal(
         status="",
         warnings=(),
         coefficients={
-            name: _among(item, among, name) for name, item in coefficients.items()
+            name: _among(item, differing, name) for name, item in coefficients.items()
         },
         combinations=tuple(
-            _among(item, among, item.expression) for item in combinations
+            _among(item, differing, item.expression) for item in combinations
         ),
-        identifiability=DeterminedTogether(
-            rank=int(first.identifiability.rank + marginal.rank[1:].sum()),
-            parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
-        ),
+        identifiability=_determined_together(throws, marginal),
         variation=tuple(variations.values()),
         systematics=replace(first.systematics, shifts=shifts),
     )
-    of_law = np.isin(shared, [item.name for item in stack.model.law.coefficients()])
-    may_vary = {name: own for name, own in weights.items() if not own[~of_law].any()}
-    varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
     return _Equal(with_throws(result, throws, solution), varying, ridge)
+
+
+def _throws_and_ridge(
+    together: Together, given: Mapping[str, float] | None, *, quadratic: bool
+) -> tuple[list[FitResult], JointRidge | None]:
+    """The records of throws with equal shared coefficients, and the ridge that all have
+    together; None where chi squared is a quadratic, or is taken for one."""
+    stack = together.stack
+    followed: list[JointRidge] = []
+
+    def ridges(stderr: dict[int, float]) -> list[Ridge]:
+        followed.append(follow_jointly(together, together.solution, stderr))
+        return followed[-1].of_throws
+
+    throws = _summarized(
+        together,
+        together.solution,
+        widths=widths_of(stack.model, given, stack.requests, jointly=True),
+        common=together.common,
+        ridges=None if quadratic else ridges,
+    )
+    return throws, followed[-1] if followed else None
+
+
+def _determined_together(
+    throws: Sequence[FitResult], marginal: Marginal
+) -> DeterminedTogether:
+    """How much throws determine of what they have in common, which counts once, and of
+    their own parameters."""
+    first = throws[0]
+    in_common = set(marginal.information.names)
+    own_of_throws = sum(
+        name not in in_common for throw in throws for name in throw.covariance.names
+    )
+    common = sum(name in in_common for name in first.covariance.names)
+    return DeterminedTogether(
+        rank=int(first.identifiability.rank + marginal.rank[1:].sum()),
+        parameters=common + own_of_throws,
+    )
 
 
 def _verdicts_by_data(

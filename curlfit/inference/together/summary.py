@@ -190,6 +190,37 @@ def _of_mean(
     )
 
 
+def _unknown_of_draw(
+    values: Floats,
+    slopes: Floats,
+    means: Means,
+    found: Population,
+    open_along: Booleans,
+    least: Mapping[str, float],
+) -> set[str]:
+    """Quantities of a draw that are not known where throws leave coefficients open:
+    those that depend on what is open, or that are as uncertain as they are large. Its
+    friction is known, as what slows the throws is.
+
+    Parameters
+    ----------
+    values, slopes : of the quantities of `DRAW`, and their derivatives by the
+        coefficients.
+    open_along, least : see `_Quantities.of`.
+    """
+    size = len(found.typical)
+    scaled = slopes * found.typical
+    along_null = np.linalg.norm(scaled @ found.fit.model.null, axis=1)
+    along_open = np.linalg.norm(scaled * open_along, axis=1)
+    whole = np.linalg.norm(scaled, axis=1)
+    unseen = np.maximum(along_null, along_open) > _UNSEEN * whole
+    variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
+    errors = np.sqrt(np.maximum(variances, 0.0))
+    errors = np.maximum(errors, [least.get(name, 0.0) for name in DRAW])
+    rough = errors >= _ROUGH * np.abs(values)
+    return set(itertools.compress(DRAW, unseen | rough)) - {"friction"}
+
+
 class _Quantities(NamedTuple):
     """What is said of groups and trends: what varies, and a draw to the tee."""
 
@@ -230,39 +261,34 @@ class _Quantities(NamedTuple):
         undetermined : coefficients, of which nothing is said by group.
         """
         size = len(found.typical)
-        centre, steps = means.estimate[:size], _STEP * np.diag(found.typical)
-        drawn = draw.quantities(
-            np.concatenate([[centre], centre + steps, centre - steps]), means.angle
-        )
-        slopes = (drawn[1 : size + 1] - drawn[size + 1 :]).T / (
-            2 * _STEP * found.typical
-        )
+        centre = means.estimate[:size]
+        steps = _STEP * np.diag(found.typical)
+        points = np.concatenate([[centre], centre + steps, centre - steps])
+        drawn = draw.quantities(points, means.angle)
+        differences = drawn[1 : size + 1] - drawn[size + 1 :]
+        slopes = differences.T / (2 * _STEP * found.typical)
         shown = [name for name in DRAW if name != "curl" or drawn[0, 1] > _FLAT]
         if open_along is not None:
-            scaled = slopes * found.typical
-            outside = np.linalg.norm(scaled @ found.fit.model.null, axis=1)
-            outside = np.maximum(outside, np.linalg.norm(scaled * open_along, axis=1))
-            unseen = outside > _UNSEEN * np.linalg.norm(scaled, axis=1)
-            variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
-            errors = np.sqrt(np.maximum(variances, 0.0))
-            errors = np.maximum(errors, [least.get(name, 0.0) for name in DRAW])
-            rough = unseen | (errors >= _ROUGH * np.abs(drawn[0]))
-            unknown = set(itertools.compress(DRAW, rough)) - {"friction"}
+            unknown = _unknown_of_draw(
+                drawn[0], slopes, means, found, open_along, least
+            )
             shown = [name for name in shown if name not in unknown]
         known = [name for name in found.weights if name not in undetermined]
         weights = np.array([found.weights[name] for name in known])
         weights = weights.reshape(len(known), size)
+        units_of_known = {name: units.get(name, "1") for name in known}
+        units_of_draw = {name: DRAW[name] for name in shown}
+        off = np.zeros((0, size))
+        if draws is not None:
+            off = found.scale * (draws.estimate - found.fit.estimate)
         return cls(
-            means,
-            draw,
-            {name: units.get(name, "1") for name in known}
-            | {name: DRAW[name] for name in shown},
-            weights,
-            np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
-            found.scale * (draws.estimate - found.fit.estimate)
-            if draws
-            else np.zeros((0, size)),
-            np.array([least.get(name, 0.0) for name in (*known, *shown)]),
+            means=means,
+            draw=draw,
+            units=units_of_known | units_of_draw,
+            weights=weights,
+            slopes=np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
+            off=off,
+            least=np.array([least.get(name, 0.0) for name in (*known, *shown)]),
         )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:

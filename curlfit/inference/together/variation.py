@@ -31,16 +31,17 @@ def weights_of_known(
 ) -> dict[str, Floats]:
     """Weights of parameters in the coefficients that are determined, and
     in combinations."""
-    combined = {name for item in combinations for name in item.weights}
-    known = {
-        name: {name: 1.0}
-        for name, verdict in verdicts.items()
-        if verdict == Verdict.DETERMINED
-        or (verdict == Verdict.WEAK and name not in combined)
-    } | {item.expression: item.weights for item in combinations}
+    in_combinations = {name for item in combinations for name in item.weights}
+    weights_by_name: dict[str, Mapping[str, float]] = {}
+    for name, verdict in verdicts.items():
+        is_weak = verdict == Verdict.WEAK and name not in in_combinations
+        if verdict == Verdict.DETERMINED or is_weak:
+            weights_by_name[name] = {name: 1.0}
+    for item in combinations:
+        weights_by_name[item.expression] = item.weights
     return {
         expression: np.array([weights.get(name, 0.0) for name in names])
-        for expression, weights in known.items()
+        for expression, weights in weights_by_name.items()
     }
 
 
@@ -63,17 +64,15 @@ def variations_of(
     variations = {}
     for expression, of_sum in weights.items():
         errors = errors_by_rows(jointly, of_sum, alone.typical)
-        each = [
-            None if error is None else estimate
-            for estimate, error in zip(
-                alone.estimates(expression, of_sum), errors, strict=True
-            )
-        ]
-        shares = [
-            error**-2
-            for estimate, error in zip(each, errors, strict=True)
-            if estimate is not None and error is not None
-        ]
+        estimates = alone.estimates(expression, of_sum)
+        each: list[tuple[float, float] | None] = []
+        shares = []
+        for estimate, error in zip(estimates, errors, strict=True):
+            if estimate is None or error is None:
+                each.append(None)
+            else:
+                each.append(estimate)
+                shares.append(error**-2)
         if len(shares) > 1 + covariates.shape[1]:
             variations[expression] = _variation(
                 expression, each, np.array(shares), covariates
@@ -117,42 +116,52 @@ class Varying(NamedTuple):
 def _variation(
     expression: str,
     each: Sequence[tuple[float, float] | None],
-    shared: Floats,
+    shares: Floats,
     covariates: Floats,
 ) -> Variation:
-    """`shared` are the weights of the throws in the joint fit."""
+    """How a coefficient or combination varies between throws.
+
+    Parameters
+    ----------
+    each : estimate and standard error from each throw; None where it gives none.
+    shares : weights in the joint fit of the throws that give one.
+    covariates : on which it depends, with mean zero, shape (throws, covariates).
+    """
     from scipy.optimize import brentq  # slow to load
 
-    known = [item is not None for item in each]
-    estimate, stderr = np.array([item for item in each if item is not None]).T
-    design = np.column_stack([np.ones(len(stderr)), covariates[known]])
-    variance, degrees = stderr**2, len(stderr) - np.linalg.matrix_rank(design)
+    gives_one = [pair is not None for pair in each]
+    estimate, stderr = np.array([pair for pair in each if pair is not None]).T
+    design = np.column_stack([np.ones(len(stderr)), covariates[gives_one]])
+    degrees = len(stderr) - np.linalg.matrix_rank(design)
+    variance = stderr**2
 
-    def about_mean(between: float) -> tuple[float, float, float]:
-        """Mean of the throws, its variance, and chi squared about the
-        expected values."""
+    def fitted(between: float) -> tuple[float, float, float]:
+        """Mean of the throws and its variance, and chi squared about the regression on
+        the covariates, where throws have a variance `between` them."""
         root = (variance + between) ** -0.5
         inverse = np.linalg.pinv(design * root[:, None])
-        found = inverse @ (estimate * root)
-        off = (estimate - design @ found) * root
-        return float(found[0]), float((inverse[0] ** 2).sum()), float(off @ off)
+        solution = inverse @ (estimate * root)
+        residual = (estimate - design @ solution) * root
+        of_mean = (inverse[0] ** 2).sum()
+        return float(solution[0]), float(of_mean), float(residual @ residual)
 
-    q, between = about_mean(0.0)[2], 0.0
+    _, _, q = fitted(0.0)
+    between = 0.0
     if q > degrees:
         high = float(estimate.var())
-        while about_mean(high)[2] > degrees:
+        while fitted(high)[2] > degrees:
             high *= 2
         between = brentq(
-            lambda size: about_mean(size)[2] - degrees, 0.0, high, xtol=1e-300
+            lambda variance: fitted(variance)[2] - degrees, 0.0, high, xtol=1e-300
         )
-    mean, of_mean, _ = about_mean(between)
-    share = shared / shared.sum()
+    mean, variance_of_mean, _ = fitted(between)
+    share = shares / shares.sum()
     return Variation(
         expression=expression,
         each=tuple(each),
         p_value=float(chdtrc(degrees, q)),
         spread=float(np.sqrt(between)),
         mean=mean,
-        stderr=float(np.sqrt(of_mean)),
+        stderr=float(np.sqrt(variance_of_mean)),
         shared_stderr=float(np.sqrt(share**2 @ (variance + between))),
     )
