@@ -80,10 +80,20 @@ class Draw(NamedTuple):
     def _turning(self, coefficients: Floats, angle: float) -> tuple[Floats, ...]:
         """Those of `_to_tee` where it turns by an angle, from what the first
         vector gives."""
-        speed, spin = np.array([_USUAL]), np.array([angle / _DURATION])
-        speed, spin, *_ = self._to_tee(coefficients[:1], speed, spin, angle, _ROUNDS)
-        speed, spin = (np.repeat(one, len(coefficients)) for one in (speed, spin))
-        return self._to_tee(coefficients, speed, spin, angle, _FEW_ROUNDS)
+        usual_speed = np.array([_USUAL])
+        usual_spin = np.array([angle / _DURATION])
+        of_first = coefficients[:1]
+        count = len(coefficients)
+        speed, spin, *_ = self._to_tee(
+            of_first, usual_speed, usual_spin, angle, _ROUNDS
+        )
+        return self._to_tee(
+            coefficients,
+            np.repeat(speed, count),
+            np.repeat(spin, count),
+            angle,
+            _FEW_ROUNDS,
+        )
 
     def _to_tee(
         self,
@@ -114,13 +124,13 @@ class Draw(NamedTuple):
             "v0": speed,
             "omega0": spin,
         }
-        own = [np.broadcast_to(start[item.name], speed.shape) for item in START]
-        values = np.column_stack([coefficients, *own])
-        state, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
-        found: Floats = state[:, :3].swapaxes(0, 1)
-        return found
+        columns = [np.broadcast_to(start[item.name], speed.shape) for item in START]
+        values = np.column_stack([coefficients, *columns])
+        states, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
+        paths: Floats = states[:, :3].swapaxes(0, 1)
+        return paths
 
 
 def _hog_to_hog(y: Floats) -> Floats:
     """Times in s at which paths from the near hog line cross the far one."""
-    return np.array([np.interp(LINES["far-hog"], own, TIMES) for own in y])
+    return np.array([np.interp(LINES["far-hog"], of_draw, TIMES) for of_draw in y])

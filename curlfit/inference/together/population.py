@@ -61,8 +61,8 @@ class Population(NamedTuple):
     @property
     def spreads(self) -> Floats:
         """Standard deviations between throws."""
-        found: Floats = np.sqrt(self.fit.variances)
-        return found
+        spreads: Floats = np.sqrt(self.fit.variances)
+        return spreads
 
     @property
     def dof(self) -> float:
@@ -72,27 +72,28 @@ class Population(NamedTuple):
 
     @property
     def scale(self) -> Floats:
-        """Of the estimate: typical sizes, and one for the effects."""
-        found = np.ones(len(self.fit.estimate))
-        found[: len(self.typical)] = self.typical
-        return found
+        """Units of the estimate: typical sizes of the mean, one for the effects."""
+        scale = np.ones(len(self.fit.estimate))
+        scale[: len(self.typical)] = self.typical
+        return scale
 
     def combinations(
-        self, known: Iterable[Combination], before: Iterable[Combination]
+        self, of_mean: Iterable[Combination], equal: Iterable[Combination]
     ) -> tuple[Combination, ...]:
-        """Those of the mean, known and, from the ones before the throws varied,
-        what varies."""
-        found, size = {one.expression: one for one in known}, len(self.typical)
-        for one in before:
-            if one.expression in self.weights and one.expression not in found:
-                scaled = self.weights[one.expression] * self.typical
-                value = scaled @ (
-                    self.reference / self.typical + self.fit.estimate[:size]
-                )
+        """Combinations that the mean determines, and those of equal throws that vary
+        about it."""
+        size = len(self.typical)
+        mean = self.reference / self.typical + self.fit.estimate[:size]
+        by_expression = {item.expression: item for item in of_mean}
+        for item in equal:
+            varies = item.expression in self.weights
+            if varies and item.expression not in by_expression:
+                scaled = self.weights[item.expression] * self.typical
                 variance = scaled @ self.fit.covariance[:size, :size] @ scaled
-                stderr = float(variance**0.5)
-                found[one.expression] = replace(one, value=float(value), stderr=stderr)
-        return tuple(replace(one, dof=self.dof) for one in found.values())
+                by_expression[item.expression] = replace(
+                    item, value=float(scaled @ mean), stderr=float(variance**0.5)
+                )
+        return tuple(replace(item, dof=self.dof) for item in by_expression.values())
 
     def of_mean(self, names: Sequence[str]) -> Covariance:
         """What all throws say of the common parameters of their mean."""
@@ -245,9 +246,10 @@ class LinearizedThrows(NamedTuple):
         normal = model.parts(model.marginal(spreads**2)[0].sum(0))[0][:size, :size]
         squares, axes = np.linalg.eigh(normal)
         within = Bounded(np.zeros(size), lower, upper)
-        hidden = axes[:, within.alone_limit(axes.T, np.sqrt(squares), np.ones(size))]
-        found: Floats = (np.eye(size) - hidden @ hidden.T) @ free
-        return found
+        confined = within.alone_limit(axes.T, np.sqrt(squares), np.ones(size))
+        hidden = axes[:, confined]
+        projection: Floats = (np.eye(size) - hidden @ hidden.T) @ free
+        return projection
 
     def joined(
         self, weights: Mapping[str, Floats], covariates: Floats, spreads: Floats
@@ -398,18 +400,18 @@ def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
     )
     factor = r_factor(np.concatenate([rows, held], -2))[:, :size]
     root = factor[..., :-1]
-    found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
-    for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):
-        found[row] = bounded(
-            found[row], root[row], np.eye(size), lower[row], upper[row]
+    moves: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
+    for row in np.flatnonzero(((moves < lower) | (moves > upper)).any(1)):
+        moves[row] = bounded(
+            moves[row], root[row], np.eye(size), lower[row], upper[row]
         )
-    return found
+    return moves
 
 
 def _inside(values: Floats, typical: Floats, lower: Floats, upper: Floats) -> Floats:
     """Values within their bounds, and at these where only rounding is between."""
-    found = np.where(values < lower + _AT * typical, lower, values)
-    return np.where(found > upper - _AT * typical, upper, found)
+    raised = np.where(values < lower + _AT * typical, lower, values)
+    return np.where(raised > upper - _AT * typical, upper, raised)
 
 
 def _rows(mean: Floats, matrix: Floats, at: Floats, null: Floats) -> Floats:

@@ -26,7 +26,11 @@ from curlfit.inference.together.effects import (
 )
 from curlfit.inference.together.population import Population
 from curlfit.inference.together.posterior import Draws
-from curlfit.inference.together.result import JointResult
+from curlfit.inference.together.result import (
+    DeterminedTogether,
+    JointResult,
+    Variation,
+)
 from curlfit.inference.together.ridge import JointRidge, errors_of_draw
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -42,7 +46,7 @@ then contains zero."""
 
 def about_mean(
     equal: JointResult,
-    found: Population,
+    population: Population,
     covariates: Covariates,
     draw: Draw,
     throws: tuple[Floats, Floats],
@@ -65,97 +69,110 @@ def about_mean(
         the mean of one, which tells no more of it.
     """
     names = tuple(equal.coefficients)
-    known, angle = found.of_mean(names), float(np.median(np.abs(draw.angle(*throws))))
-    departures = NO_DEPARTURES if ridge is None else ridge.departures(known)
-    means = found.means(names, covariates, angle, of_others)
-    units = {name: item.unit for name, item in equal.coefficients.items()}
-    coefficients = {
-        name: one
-        if one.verdict == Verdict.FIXED
-        else _of_mean(one, known, row, found.dof, departures, left_open)
-        for row, (name, one) in enumerate(equal.coefficients.items())
-    }
+    covariance = population.of_mean(names)
+    departures = NO_DEPARTURES if ridge is None else ridge.departures(covariance)
+    coefficients = {}
+    for row, (name, estimate) in enumerate(equal.coefficients.items()):
+        coefficients[name] = estimate
+        if estimate.verdict != Verdict.FIXED:
+            coefficients[name] = _of_mean(
+                estimate, covariance, row, population.dof, departures, left_open
+            )
     undetermined = [
-        name for name, one in coefficients.items() if not one.verdict.is_known
+        name for name, estimate in coefficients.items() if not estimate.verdict.is_known
     ]
     open_along = None
     if left_open or ridge is not None:
         open_along = np.isin(names, [*left_open]) & np.isin(names, undetermined)
-    common = np.ones(len(names) + len(START), bool)
-    common[len(names) :] = False
-    least = {} if ridge is None else errors_of_draw(ridge, draw, common)
+    least = {}
+    if ridge is not None:
+        is_common = np.arange(len(names) + len(START)) < len(names)
+        least = errors_of_draw(ridge, draw, is_common)
+    angle = float(np.median(np.abs(draw.angle(*throws))))
+    means = population.means(names, covariates, angle, of_others)
+    units = {name: estimate.unit for name, estimate in equal.coefficients.items()}
     quantities = _Quantities.of(
-        means, found, draw, units, draws, least, open_along, undetermined
+        means, population, draw, units, draws, least, open_along, undetermined
     )
-    groups, differences, trend = map(tuple, quantities.effects())
-    slope_differences = _slope_differences(quantities, found, covariates)
-    spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
-    sampled: dict[str, Quantiles] = {}
-    if draws is not None:
-        sampled = dict(zip(spreads, map(quantiles_of, draws.spreads.T), strict=True))
-    fixed = sum(item.verdict == Verdict.FIXED for item in equal.coefficients.values())
-    open_ = found.fit.model.null.shape[1] - fixed
+    groups, differences, trend = quantities.effects()
     result = replace(
         equal,
-        identifiability=replace(
-            equal.identifiability,
-            rank=min(
-                equal.identifiability.rank, equal.identifiability.parameters - open_
-            ),
-        ),
-        r_hat=None if draws is None else draws.r_hat,
+        identifiability=_determined(equal, population),
         means=means,
         coefficients=coefficients,
-        combinations=found.combinations(
-            departures.kept(known.combinations), equal.combinations
+        combinations=population.combinations(
+            departures.kept(covariance.combinations), equal.combinations
         ),
-        variation=tuple(
-            replace(
-                one,
-                spread=spreads.get(one.expression, 0.0),
-                shared_stderr=None,
-                quantiles=sampled.get(one.expression, {}),
-            )
-            for one in equal.variation
-        ),
-        groups=groups,
-        differences=differences,
-        trend=trend,
+        variation=_with_spreads(equal.variation, population, draws),
+        groups=tuple(groups),
+        differences=tuple(differences),
+        trend=tuple(trend),
         slopes=tuple(quantities.slopes_of_groups(covariates.trend_by)),
-        slope_differences=tuple(slope_differences),
+        slope_differences=tuple(_slope_differences(quantities, population, covariates)),
     )
     if draws is None:
-        return result
-    return replace(result, chain=_chain(found, means, draws, result.subject))
+        return replace(result, r_hat=None)
+    chain = _chain(population, means, draws, result.subject)
+    return replace(result, r_hat=draws.r_hat, chain=chain)
+
+
+def _determined(equal: JointResult, population: Population) -> DeterminedTogether:
+    """How much throws determine that vary: no more than if they are equal."""
+    determined = equal.identifiability
+    fixed = sum(item.verdict == Verdict.FIXED for item in equal.coefficients.values())
+    undetermined = population.fit.model.null.shape[1] - fixed
+    rank = min(determined.rank, determined.parameters - undetermined)
+    return replace(determined, rank=rank)
+
+
+def _with_spreads(
+    variations: Sequence[Variation], population: Population, draws: Draws | None
+) -> tuple[Variation, ...]:
+    """What varies, with the spreads of the population and quantiles of these."""
+    spreads = dict(zip(population.weights, population.spreads.tolist(), strict=True))
+    quantiles: dict[str, Quantiles] = {}
+    if draws is not None:
+        of_each = map(quantiles_of, draws.spreads.T)
+        quantiles = dict(zip(population.weights, of_each, strict=True))
+    return tuple(
+        replace(
+            variation,
+            spread=spreads.get(variation.expression, 0.0),
+            shared_stderr=None,
+            quantiles=quantiles.get(variation.expression, {}),
+        )
+        for variation in variations
+    )
 
 
 def _chain(
-    found: Population, means: Means, draws: Draws, subject: dict[str, str]
+    population: Population, means: Means, draws: Draws, subject: dict[str, str]
 ) -> Chain:
-    """The draws of what varies."""
-    size = len(found.typical)
-    weights = np.array([*found.weights.values()])
-    of_mean = (found.reference + found.typical * draws.estimate[:, :size]) @ weights.T
-    values = np.concatenate([of_mean, draws.estimate[:, size:], draws.spreads], 1)[
-        :, None
-    ]
-    changes = [
-        f"{by} {one} - {members[0]}"
-        for by, members in means.groups.items()
-        for one in members[1:]
-    ] + [f"{along} per {unit}" for along, unit in means.trends.items()]
-    changes += [
-        f"{by} {one} - {means.groups[by][0]}, {along} per {unit}"
-        for by in means.trend_by
-        for along, unit in means.trends.items()
-        for one in means.groups[by][1:]
-    ]
-    varies = list(found.weights)
+    """The draws of what varies, of its changes with groups and trends, and of its
+    spreads."""
+    size = len(population.typical)
+    weights = np.array([*population.weights.values()])
+    means_drawn = population.reference + population.typical * draws.estimate[:, :size]
+    of_effects = draws.estimate[:, size:]
+    values = np.concatenate([means_drawn @ weights.T, of_effects, draws.spreads], 1)
+    changes = []
+    for by, members in means.groups.items():
+        changes += [f"{by} {group} - {members[0]}" for group in members[1:]]
+    for along, unit in means.trends.items():
+        changes.append(f"{along} per {unit}")
+    for by in means.trend_by:
+        first, *others = means.groups[by]
+        for along, unit in means.trends.items():
+            changes += [
+                f"{by} {group} - {first}, {along} per {unit}" for group in others
+            ]
+    varying = list(population.weights)
+    values = values[:, None]  # one walker
     return Chain(
         names=(
-            *varies,
-            *(f"{change}: {name}" for change in changes for name in varies),
-            *(f"spread of {name}" for name in varies),
+            *varying,
+            *(f"{change}: {name}" for change in changes for name in varying),
+            *(f"spread of {name}" for name in varying),
         ),
         values=values,
         log_posterior=np.full(values.shape[:2], np.nan),
@@ -167,22 +184,23 @@ def _chain(
 
 
 def _of_mean(
-    item: Estimate,
-    known: Covariance,
+    equal: Estimate,
+    covariance: Covariance,
     row: int,
     dof: float,
     departures: Departures,
     left_open: Collection[str],
 ) -> Estimate:
-    stderr, verdict, _ = known.classified(row)
-    name = known.names[row]
-    stderr, verdict, reason = departures.judged(name, stderr, verdict, item.typical)
+    """The estimate of a parameter of the mean, in place of that of equal throws."""
+    name = covariance.names[row]
+    stderr, verdict, _ = covariance.classified(row)
+    stderr, verdict, reason = departures.judged(name, stderr, verdict, equal.typical)
     if verdict == Verdict.AT_BOUND and name in left_open:
         verdict = Verdict.WEAK
         reason = departures.range_of(name)
     return replace(
-        item,
-        value=float(known.values[row]),
+        equal,
+        value=float(covariance.values[row]),
         stderr=stderr,
         verdict=verdict,
         dof=None if stderr is None else dof,
@@ -194,7 +212,7 @@ def _unknown_of_draw(
     values: Floats,
     slopes: Floats,
     means: Means,
-    found: Population,
+    population: Population,
     open_along: Booleans,
     least: Mapping[str, float],
 ) -> set[str]:
@@ -208,9 +226,9 @@ def _unknown_of_draw(
         coefficients.
     open_along, least : see `_Quantities.of`.
     """
-    size = len(found.typical)
-    scaled = slopes * found.typical
-    along_null = np.linalg.norm(scaled @ found.fit.model.null, axis=1)
+    size = len(population.typical)
+    scaled = slopes * population.typical
+    along_null = np.linalg.norm(scaled @ population.fit.model.null, axis=1)
     along_open = np.linalg.norm(scaled * open_along, axis=1)
     whole = np.linalg.norm(scaled, axis=1)
     unseen = np.maximum(along_null, along_open) > _UNSEEN * whole
@@ -241,7 +259,7 @@ class _Quantities(NamedTuple):
     def of(
         cls,
         means: Means,
-        found: Population,
+        population: Population,
         draw: Draw,
         units: Mapping[str, str],
         draws: Draws | None,
@@ -260,27 +278,27 @@ class _Quantities(NamedTuple):
             turns as throws do whose spin is not known either.
         undetermined : coefficients, of which nothing is said by group.
         """
-        size = len(found.typical)
+        size = len(population.typical)
         centre = means.estimate[:size]
-        steps = _STEP * np.diag(found.typical)
+        steps = _STEP * np.diag(population.typical)
         points = np.concatenate([[centre], centre + steps, centre - steps])
         drawn = draw.quantities(points, means.angle)
         differences = drawn[1 : size + 1] - drawn[size + 1 :]
-        slopes = differences.T / (2 * _STEP * found.typical)
+        slopes = differences.T / (2 * _STEP * population.typical)
         shown = [name for name in DRAW if name != "curl" or drawn[0, 1] > _FLAT]
         if open_along is not None:
             unknown = _unknown_of_draw(
-                drawn[0], slopes, means, found, open_along, least
+                drawn[0], slopes, means, population, open_along, least
             )
             shown = [name for name in shown if name not in unknown]
-        known = [name for name in found.weights if name not in undetermined]
-        weights = np.array([found.weights[name] for name in known])
+        known = [name for name in population.weights if name not in undetermined]
+        weights = np.array([population.weights[name] for name in known])
         weights = weights.reshape(len(known), size)
         units_of_known = {name: units.get(name, "1") for name in known}
         units_of_draw = {name: DRAW[name] for name in shown}
         off = np.zeros((0, size))
         if draws is not None:
-            off = found.scale * (draws.estimate - found.fit.estimate)
+            off = population.scale * (draws.estimate - population.fit.estimate)
         return cls(
             means=means,
             draw=draw,
@@ -328,7 +346,7 @@ class _Quantities(NamedTuple):
         that of the first group of the label, of the others."""
         means = self.means
         at_mean = means.at(means.of_groups({}))
-        found: list[Effect] = []
+        slopes: list[Effect] = []
         for by, (along, unit) in itertools.product(labels, means.trends.items()):
             members = means.groups[by]
             changes = {
@@ -341,7 +359,7 @@ class _Quantities(NamedTuple):
                     continue
                 if compared:
                     to = to - changes[first]
-                found += self._effects(
+                slopes += self._effects(
                     to,
                     self.slopes @ to @ means.estimate,
                     tested=True,
@@ -351,7 +369,7 @@ class _Quantities(NamedTuple):
                     group=group,
                     against=first,
                 )
-        return found
+        return slopes
 
     def _values(self, columns: Floats) -> Floats:
         """The quantities where covariates have some values, shape
@@ -402,7 +420,7 @@ class _Quantities(NamedTuple):
 
 
 def _slope_differences(
-    of_equal_slopes: _Quantities, found: Population, covariates: Covariates
+    of_equal_slopes: _Quantities, population: Population, covariates: Covariates
 ) -> list[Effect]:
     """The differences of slopes between the groups of each label. Where all groups of a
     label have one slope, they are those of a second fit, to the same quadratics of the
@@ -413,10 +431,10 @@ def _slope_differences(
     for label in covariates.groups:
         quantities = of_equal_slopes
         if label not in covariates.trend_by:
-            own_slopes = with_own_slopes(found.fit, covariates, label)
+            own_slopes = with_own_slopes(population.fit, covariates, label)
             if own_slopes is None:
                 continue
-            population = found._replace(fit=own_slopes.fit)
+            population = population._replace(fit=own_slopes.fit)
             equal_means = of_equal_slopes.means
             means = population.means(
                 equal_means.names, own_slopes.covariates, equal_means.angle
