@@ -12,7 +12,7 @@ import numpy as np
 from curlfit.errors import Option, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
-from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.estimates import Estimate, Systematics
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
@@ -407,43 +407,58 @@ def _varying(
     weights, guess = equal.varying
     ridge = equal.ridge
     try:
-        found, solution, others = vary(together, weights, guess, untold)
+        population, solution, others = vary(together, weights, guess, untold)
     except np.linalg.LinAlgError:
         raise UnusableFitError(
             "how these throws vary cannot be estimated: their coefficients become "
             f"unbounded; fix some of them, or fit with {Option('share', 'all')}"
         ) from None
-    ridges = None if ridge is None else lambda _: ridge.of_throws
-    ended = bool(np.all(solution.success))
     draws = of_others = None
-    if ended:
-        draws = sampled(found.fit, guess, seed)
+    if np.all(solution.success):
+        draws = sampled(population.fit, guess, seed)
         # tracks know their coefficients better than these vary: Student's t is exact
-        if not any(one.throw.has_path for one in together.stack.requests):
-            of_others = drawn_for_others(found.fit, guess, draws)
+        if not any(request.throw.has_path for request in together.stack.requests):
+            of_others = drawn_for_others(population.fit, guess, draws)
+    ridges = None if ridge is None else lambda _: ridge.of_throws
     throws = [
-        replace(with_untold(one, untold), systematics=before.systematics)
-        for one, before in zip(
+        replace(
+            with_untold(throw, untold),
+            systematics=_without(of_equal.systematics, untold),
+        )
+        for throw, of_equal in zip(
             _summarized(together, solution, others=others, ridges=ridges),
             equal.result.throws,
             strict=True,
         )
     ]
-    spins = np.array([one.parameters["omega0"].value for one in throws])
-    at_spins = solution.values[:, together.common], spins
+    spins = np.array([throw.parameters["omega0"].value for throw in throws])
     result = about_mean(
         equal.result,
-        found,
+        population,
         together.covariates,
         Draw(together.stack.model, together.stack.requests[0].stone),
-        at_spins,
+        (solution.values[:, together.common], spins),
         draws,
         ridge,
         of_others=of_others,
     )
     coefficients = {
-        name: replace(item, verdict=Verdict.PRIOR) if name in untold else item
-        for name, item in result.coefficients.items()
+        name: replace(estimate, verdict=Verdict.PRIOR) if name in untold else estimate
+        for name, estimate in result.coefficients.items()
     }
-    result = replace(result, coefficients=coefficients)
+    result = replace(
+        result,
+        coefficients=coefficients,
+        systematics=_without(result.systematics, untold),
+    )
     return with_throws(result, throws, solution)
+
+
+def _without(systematics: Systematics, names: Collection[str]) -> Systematics:
+    """Systematic errors without those of some parameters, which no condition moves."""
+    shifts = {
+        name: by_condition
+        for name, by_condition in systematics.shifts.items()
+        if name not in names
+    }
+    return replace(systematics, shifts=shifts)
