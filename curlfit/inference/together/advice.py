@@ -92,10 +92,10 @@ def warnings_of_slopes(result: JointResult) -> list[Finding]:
 
 def _differs_by_spin(variation: Variation, counter_clockwise: Booleans) -> bool:
     """Whether throws of the same sense of spin agree much better than all throws do."""
-    known = np.array([estimate is not None for estimate in variation.each])
-    estimates = np.array([each for each in variation.each if each is not None])
+    gives_one = np.array([estimate is not None for estimate in variation.each])
+    estimates = np.array([pair for pair in variation.each if pair is not None])
     value, error = estimates.T
-    sense = counter_clockwise[known]
+    sense = counter_clockwise[gives_one]
 
     def chi_squared(rows: Booleans) -> float:
         weights = error[rows] ** -2

@@ -50,11 +50,11 @@ def another(
         else _begun_last(joint, joint.table, labels)
     )
     names = list(near.parameters)
-    place = [names.index(name) for name in joint.means.names]
-    ends = near.parameter_set.lower[place], near.parameter_set.upper[place]
+    of_mean = [names.index(name) for name in joint.means.names]
+    ends = near.parameter_set.lower[of_mean], near.parameter_set.upper[of_mean]
     mean, drawn = joint.means.draw(labels, number, random, *ends)
     values = np.tile(near.values, (1 + number, 1))
-    values[:, place] = [mean, *drawn]
+    values[:, of_mean] = [mean, *drawn]
     angle = np.copysign(joint.means.angle, near.parameters["omega0"].value)
     draw = Draw(near.model, near.stone)
     values[:, names.index("omega0")] = draw.spin(values[:, : -len(START)], angle)
@@ -85,9 +85,11 @@ def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitR
     return replace(near, data=data_of_all, fitted=near.fitted | motion_of_all)
 
 
-def _last(each: Sequence[Mapping[str, str]], labels: Mapping[str, str]) -> int:
-    """The last place of most of the labels."""
-    alike = [len(one.items() & labels.items()) for one in each]
+def _last(
+    labels_by_throw: Sequence[Mapping[str, str]], labels: Mapping[str, str]
+) -> int:
+    """The row of the throw that has most of the labels, the last of these."""
+    alike = [len(of_throw.items() & labels.items()) for of_throw in labels_by_throw]
     return max(range(len(alike)), key=lambda row: (alike[row], row))
 
 

@@ -114,18 +114,20 @@ class Covariates(NamedTuple):
             groups[name] = tuple(sorted(set(labels), key=_natural))
             if len(groups[name]) < 2:
                 raise InputError(f"by {name}: all throws have {quoted(labels[0])}")
-            columns += [[label == one for label in labels] for one in groups[name][1:]]
+            columns += [
+                [label == group for label in labels] for group in groups[name][1:]
+            ]
         for name in trend:
             numbers, trends[name] = _numbers(name, _labels(throws, name))
             columns.append(numbers)
         values = np.array(columns, float).reshape(len(columns), len(throws)).T
         mean = values.mean(0)
         shared_slopes = cls(groups, trends, (), mean, values - mean)
-        found = shared_slopes.with_slopes_by(trend_by)
-        if not found.distinguished:
+        covariates = shared_slopes.with_slopes_by(trend_by)
+        if not covariates.distinguished:
             names = join_words([*groups, *trends])
             raise InputError(f"{names}: the throws do not distinguish their effects")
-        return found
+        return covariates
 
     @property
     def last(self) -> Floats:
@@ -135,8 +137,8 @@ class Covariates(NamedTuple):
     @property
     def distinguished(self) -> bool:
         """Whether the throws distinguish the effects of all columns."""
-        known = np.column_stack([np.ones(len(self.values)), self.values])
-        return bool(np.linalg.matrix_rank(known) == known.shape[1])
+        design = np.column_stack([np.ones(len(self.values)), self.values])
+        return bool(np.linalg.matrix_rank(design) == design.shape[1])
 
     def with_slopes_by(self, labels: Sequence[str]) -> Self:
         """The same groups and trends, with slopes of their own for the groups of some
@@ -172,8 +174,8 @@ def _with_products(
     parts = [columns]
     for name in trend_by:
         parts += [
-            of_groups[name] * columns[..., place : place + 1]
-            for place in range(first_trend, columns.shape[-1])
+            of_groups[name] * columns[..., trend : trend + 1]
+            for trend in range(first_trend, columns.shape[-1])
         ]
     return np.concatenate(parts, -1)
 
@@ -181,8 +183,8 @@ def _with_products(
 def _labels(throws: Labelled, name: str) -> list[str]:
     for throw, labels in throws:
         if name not in labels:
-            known = ", ".join(labels) or "none"
-            raise InputError(f"{throw}: no label {quoted(name)}; it has {known}")
+            names = ", ".join(labels) or "none"
+            raise InputError(f"{throw}: no label {quoted(name)}; it has {names}")
     return [labels[name] for _, labels in throws]
 
 
@@ -267,17 +269,17 @@ class Means:
     def covariates(self, of: Mapping[str, str], along: Mapping[str, float]) -> Floats:
         """The covariates of some groups, by label, at distances from the mean along
         trends, and at the mean of all else."""
-        found = np.zeros(len(self.centre))
+        columns = np.zeros(len(self.centre))
         begin = 0
         for name, members in self.groups.items():
             end = begin + len(members) - 1
             if name in of:
                 indicators = np.array([of[name] == member for member in members[1:]])
-                found[begin:end] = indicators - self.centre[begin:end]
+                columns[begin:end] = indicators - self.centre[begin:end]
             begin = end
-        for place, name in enumerate(self.trends, begin):
-            found[place] = along.get(name, 0.0)
-        return _with_products(found, self.groups, self.trends, self.trend_by)
+        for column, name in enumerate(self.trends, begin):
+            columns[column] = along.get(name, 0.0)
+        return _with_products(columns, self.groups, self.trends, self.trend_by)
 
     def of_groups(self, of: Mapping[str, str]) -> Floats:
         """The covariates of some groups, by label, at the mean of all else."""
@@ -299,21 +301,21 @@ class Means:
         """
         for name, label in labels.items():
             if name not in (*self.groups, *self.trends):
-                known = join_words([*self.groups, *self.trends]) or "none"
+                distinguished = join_words([*self.groups, *self.trends]) or "none"
                 raise InputError(
                     f"{name}: the fit distinguishes no throws by "
-                    f"{quoted(name)}; it has {known}"
+                    f"{quoted(name)}; it has {distinguished}"
                 )
             if label not in self.groups.get(name, [label]):
                 expected = join_words(self.groups[name], "or")
                 raise InputError(f"{name} {quoted(label)}: expected {expected}")
         first_trend = len(self.centre) - len(self.trends)
         along = {}
-        for place, name in enumerate(self.trends, first_trend):
-            along[name] = float(self.last[place])
+        for column, name in enumerate(self.trends, first_trend):
+            along[name] = float(self.last[column])
             if name in labels:
                 (number,), _ = _numbers(name, [labels[name]])
-                along[name] = number - self.centre[place]
+                along[name] = number - self.centre[column]
         return self.covariates(labels, along)
 
     def expected(
@@ -321,17 +323,16 @@ class Means:
     ) -> tuple[float, float]:
         """A weighted sum of the parameters of another throw: mean and
         standard deviation."""
-        known = {
-            name: one
-            for name, one in labels.items()
+        of_fit = {
+            name: label
+            for name, label in labels.items()
             if name in (*self.groups, *self.trends)
         }
         vector = np.array([weights.get(name, 0.0) for name in self.names])
-        row = vector @ self.at(self.columns(known))
+        row = vector @ self.at(self.columns(of_fit))
         between = ((vector @ self.directions * self.spreads) ** 2).sum()
-        return float(row @ self.estimate), float(
-            np.sqrt(row @ self.covariance @ row + between)
-        )
+        variance = row @ self.covariance @ row + between
+        return float(row @ self.estimate), float(np.sqrt(variance))
 
     def draw(
         self,
@@ -372,8 +373,8 @@ class Means:
         estimates = chosen[:, : len(self.estimate)]
         spreads = chosen[:, len(self.estimate) :]
         deviations = spreads * random.standard_normal(spreads.shape)
-        found: Floats = estimates @ to.T + deviations @ self.directions.T
-        return found
+        drawn: Floats = estimates @ to.T + deviations @ self.directions.T
+        return drawn
 
 
 class OwnSlopes(NamedTuple):
@@ -405,16 +406,22 @@ def _with_chances(differences: Sequence[Effect]) -> list[tuple[Effect, float]]:
     """The differences of slopes in friction and curl of a draw, each with the
     probability that one of them is as unlikely as this if all slopes are alike, by
     Bonferroni."""
-    tested = [one for one in differences if one.parameter in ("friction", "curl")]
-    return [(one, min(len(tested) * one.p, 1.0)) for one in tested if one.p is not None]
+    tested = [
+        effect for effect in differences if effect.parameter in ("friction", "curl")
+    ]
+    return [
+        (effect, min(len(tested) * effect.p, 1.0))
+        for effect in tested
+        if effect.p is not None
+    ]
 
 
 def chances_of_alike_slopes(differences: Sequence[Effect]) -> dict[str, float]:
     """The probability of differences of slopes as large by chance, by label of the
     groups."""
     chances: dict[str, float] = {}
-    for one, chance in _with_chances(differences):
-        chances[one.by] = min(chance, chances.get(one.by, 1.0))
+    for effect, chance in _with_chances(differences):
+        chances[effect.by] = min(chance, chances.get(effect.by, 1.0))
     return chances
 
 
