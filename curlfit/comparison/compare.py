@@ -31,7 +31,6 @@ from curlfit.comparison.candidates import (
     with_ranks,
 )
 from curlfit.comparison.criteria import (
-    EffectiveValues,
     criteria,
     effective_values,
     log_evidence,
@@ -284,7 +283,10 @@ def _compared(
     rankable = [fit for fit in fits if is_rankable(fit.candidate)] or fits
     likeliest = max(rankable, key=lambda fit: fit.log_likelihood)
     effective = effective_values(likeliest.result)
-    fits = [_with_criteria(fit, effective) for fit in _judged_by_size(fits)]
+    fits = [
+        _changed(fit, **criteria(fit.result, fit.likelihood, effective))
+        for fit in _judged_by_size(fits)
+    ]
     if not effective.number and len(noises) == 1:
         fits = _with_predictions(fits, family)
     order = best_first([fit.candidate for fit in fits])
@@ -307,11 +309,6 @@ def _compared(
 def _changed(fit: FittedLaw, **fields: Any) -> FittedLaw:
     """The fit with some fields of its candidate changed."""
     return fit._replace(candidate=replace(fit.candidate, **fields))
-
-
-def _with_criteria(fit: FittedLaw, effective: EffectiveValues) -> FittedLaw:
-    """The fit with AICc and BIC of its candidate."""
-    return _changed(fit, **criteria(fit.result, fit.likelihood, effective))
 
 
 def _judged_by_size(fits: Sequence[FittedLaw]) -> list[FittedLaw]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -117,6 +117,9 @@ class Assumptions:
     sigma: Mapping[str, float]
     until: float | None = None
     discrepancy: float = 0.0
+    _computed: dict[PlannedThrow, RecordInformation] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -208,7 +211,8 @@ class Assumptions:
                 abs(weight) * widths[coefficient]
                 for coefficient, weight in quantities[name].items()
             )
-            within[name] = None if error is not None and error > width else error
+            is_within = error is not None and not error > width
+            within[name] = error if is_within else None
         return within
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
@@ -224,10 +228,6 @@ class Assumptions:
             # the object itself, which keeps the records that it has computed
             by_load[self.load] = self
         return by_load
-
-    @cached_property
-    def _computed(self) -> dict[PlannedThrow, RecordInformation]:
-        return {}
 
     def records(self, throws: Sequence[PlannedThrow]) -> list[RecordInformation]:
         """The information of each of several throws, computed once."""
