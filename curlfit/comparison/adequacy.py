@@ -38,6 +38,8 @@ _UNCLEAR = 3.0
 """rms of a residual over the noise, up to which correlated noise may explain it."""
 _SEEN = 3.0
 """rms departure from a straight line over the noise, up to which no curl is seen."""
+_ROUNDING = 1e-9
+"""Friction across the motion over that along it, up to which there is none."""
 _MEDIAN = 5  # rows of a running median that removes single outliers
 _DEGREE = 5  # of the polynomial in time that separates motion from noise
 
@@ -166,7 +168,7 @@ def opposes_sliding(law: type[Law]) -> bool:
     for half in (1.0, 0.0):
         point = sample_points(half)
         xi, eta = general.traction(point)
-        if not np.allclose(xi * point.e_eta, eta * point.e_xi, rtol=0, atol=1e-9):
+        if not np.allclose(xi * point.e_eta, eta * point.e_xi, rtol=0, atol=_ROUNDING):
             return False
     return True
 
@@ -209,8 +211,8 @@ def sides_of_curl(
     slows = eta < 0
     sideways = np.where(slows, xi / np.where(slows, -eta, 1.0), 0.0)
     sides = []
-    if (sideways < -1e-9).any():
+    if (sideways < -_ROUNDING).any():
         sides.append("left")
-    if (sideways > 1e-9).any():
+    if (sideways > _ROUNDING).any():
         sides.append("right")
     return tuple(sides)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +61,9 @@ _FAR = 5.0
 """Times the residuals of another law, or the noise of an ordinary tracker, beyond which
 a law does not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7
 where friction depends on the speed to the power -0.25."""
+
+_ZERO = 1e-6
+"""Typical sizes, up to which a coefficient is zero but for rounding."""
 
 
 class FittedLaw(NamedTuple):
@@ -185,7 +188,7 @@ def _fitted_with_signs(
     at_zero = any(
         coefficient.verdict == Verdict.AT_BOUND
         and coefficient.lower == 0
-        and coefficient.value < 1e-6 * coefficient.typical
+        and coefficient.value < _ZERO * coefficient.typical
         for coefficient in within_bounds.result.coefficients.values()
     )
     if not at_zero:
@@ -247,14 +250,9 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     ]
     value = np.array([result.parameters[name].value for name in names])
     typical = np.array([result.parameters[name].typical for name in names])
+    null_directions = result.identifiability.null_directions
     ridge = np.array(
-        [
-            [
-                direction.get(name, 0.0)
-                for direction in result.identifiability.null_directions
-            ]
-            for name in names
-        ]
+        [[direction.get(name, 0.0) for direction in null_directions] for name in names]
     )
     if ridge.size:
         # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical;
@@ -267,8 +265,7 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
             bounds=[(None, None)] * directions + [(0, None)] * parameters,
         )
         value = value + ridge @ optimum.x[:directions]
-    below_zero = value < -1e-6 * typical
-    return tuple(name for name, low in zip(names, below_zero, strict=True) if low)
+    return tuple(compress(names, value < -_ZERO * typical))
 
 
 def _compared(

@@ -20,7 +20,7 @@ from curlfit.comparison.candidate_columns import (
     difference,
 )
 from curlfit.comparison.result import Candidate, Comparison, OnSet, SetOfData
-from curlfit.comparison.tables import coefficients_table, summary
+from curlfit.comparison.tables import coefficients_table, finding, order_by_bic
 from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.information.verdict import Verdict
@@ -42,10 +42,9 @@ def document_of_sets(comparison: Comparison) -> Document:
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     odd_rows = odd_rows_in_words(comparison.odd_rows)
-    of_ranks = summary(comparison, first_conclusion, " ...")
     return Document(
-        finding=of_ranks["finding"],
-        lines=[*odd_rows, *of_ranks["lines"]],
+        finding=finding(comparison),
+        lines=[*odd_rows, order_by_bic(comparison, " ..."), first_conclusion],
         subject=f"{laws}: {files}",
         headline=Text(f"{laws}: {files}", style="bold"),
         about=[*map(_about, sets), *map(Said, odd_rows)],
@@ -99,8 +98,8 @@ def _noise(data_set: SetOfData) -> Finding:
     is_track = data_set.kind == "track"
     code = "sigma-of-best-law-or-tracker" if is_track else "sigma-of-best-law"
     sigma = [{"name": name, "value": value} for name, value in data_set.sigma.items()]
-    finding = Finding.note(code, law=data_set.noise_of, sigma=sigma)
-    return finding.of(short(data_set))
+    note = Finding.note(code, law=data_set.noise_of, sigma=sigma)
+    return note.of(short(data_set))
 
 
 def _per_value(chi_squared: float, dof: float) -> str:
