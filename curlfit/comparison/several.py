@@ -224,10 +224,13 @@ def _compared(fits: _FitsAlone, noise: Noise) -> Candidate:
         for rows, optimum in zip(rows_by_set, fits.optima, strict=True)
     ]
     common_optimum = law.together(optima, weight)
-    optima = [
-        _no_worse_than(common_optimum, law, rows, optimum, weight)
-        for rows, optimum in zip(rows_by_set, optima, strict=True)
-    ]
+    for number, rows in enumerate(rows_by_set):
+        of_common = common_optimum.chi_squared[rows].sum()
+        if of_common >= optima[number].chi_squared[rows].sum():
+            continue
+        # the search of this set alone ended too early
+        from_common = law.optimum(rows, common_optimum.values, weight)
+        optima[number] = best([optima[number], from_common])
     common = law.at_optimum(common_optimum)
     covariance = common.covariance()
     departures = law.departures_of_all(covariance, common_optimum, weight)
@@ -237,10 +240,10 @@ def _compared(fits: _FitsAlone, noise: Noise) -> Candidate:
     sets = []
     rank_of_sets = 0
     for rows, optimum in zip(rows_by_set, optima, strict=True):
-        own = law.at_optimum(optimum)
-        rank_of_sets += own.covariance(rows).identifiability.rank
+        of_set = law.at_optimum(optimum)
+        rank_of_sets += of_set.covariance(rows).identifiability.rank
         values_of_set = float(values[rows].sum())
-        own_spent = float(own.parameters()[rows].sum())
+        own_spent = float(of_set.parameters()[rows].sum())
         own_deviance = float(_deviances(optimum, weight, unknown, values)[rows].sum())
         chi_squared = float(common_optimum.chi_squared[rows].sum())
         dof = max(values_of_set - float(spent_by_row[rows].sum()), 1.0)
@@ -268,7 +271,7 @@ def _compared(fits: _FitsAlone, noise: Noise) -> Candidate:
     if more_parameters > 0:
         p_together = float(chdtrc(more_parameters, max(rise, 0.0)))
     agree = p_together is None or p_together >= _AGREE
-    number = float(rank_of_all + common.marginal.rank.sum())
+    parameters = float(rank_of_all + common.marginal.rank.sum())
     deviance = float(_deviances(common_optimum, weight, unknown, values).sum())
     is_finite = bool(np.isfinite(common_optimum.residual).all())
     converged = bool(covariance.distance < CONVERGED) and is_finite
@@ -280,26 +283,12 @@ def _compared(fits: _FitsAlone, noise: Noise) -> Candidate:
         candidate,
         converged=converged,
         status="converged" if converged else "not converged",
-        n_parameters=number,
+        n_parameters=parameters,
         sets=tuple(sets),
         p_together=p_together,
         follows=agree and all(on_set.follows for on_set in sets),
-        bic=deviance + number * math.log(values.sum()),
+        bic=deviance + parameters * math.log(values.sum()),
     )
-
-
-def _no_worse_than(
-    common: Solution,
-    law: LawOnSets,
-    rows: Booleans,
-    optimum: Solution,
-    weight: Floats,
-) -> Solution:
-    """The optimum of a data set alone; where the common one is better on it, the better
-    one of those reached from both."""
-    if common.chi_squared[rows].sum() >= optimum.chi_squared[rows].sum():
-        return optimum
-    return best([optimum, law.optimum(rows, common.values, weight)])
 
 
 def _follows(chi_squared: float, dof: float) -> bool:
@@ -316,9 +305,9 @@ def _largest(
     order = np.argsort(-np.abs(residual), axis=None)[:_LARGEST]
     largest = []
     for index in order:
-        row, channel, place = np.unravel_index(index, residual.shape)
-        name = law.called(row, channel, place)
-        largest.append((name, float(residual[row, channel, place])))
+        row, channel, column = np.unravel_index(index, residual.shape)
+        name = law.called(row, channel, column)
+        largest.append((name, float(residual[row, channel, column])))
     return tuple(largest)
 
 

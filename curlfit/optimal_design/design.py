@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -556,9 +556,11 @@ def _notes(
 ) -> tuple[Finding, ...]:
     """The load under which throws separate two coefficients, if those of this load do
     not, and what the errors assume of the law."""
-    notes: list[Finding] = []
-    if separation is not None:
-        notes += _of_other_load(assumed.load, planned, separation)
+    notes = []
+    if separation is not None and separation.scenario(assumed.load).throws is None:
+        for scenario in separation.ways:
+            if scenario.throws is not None:
+                notes.append(_other_load(planned, separation.pair, scenario))
     if assumed.discrepancy:
         percent = 100 * assumed.discrepancy
         notes.append(Finding.note("design-with-discrepancy", percent=percent))
@@ -568,28 +570,23 @@ def _notes(
     return tuple(notes)
 
 
-def _of_other_load(
-    load: str, planned: Sequence[PlannedThrow], separation: Separation
-) -> Iterator[Finding]:
-    """Throws that separate two coefficients under another load than the assumed one,
-    if none do under that."""
-    if separation.scenario(load).throws is not None:
-        return
-    for scenario in separation.ways:
-        if scenario.throws is None:
-            continue
-        throws = [
-            {"count": count, "v0": planned[index].v0, "omega0": planned[index].omega0}
-            for index, count in Counter(scenario.throws).items()
-        ]
-        yield Finding.note(
-            "other-load-separates",
-            Remedy("assume-load", Option("load", scenario.load)),
-            load=scenario.load,
-            throws=throws,
-            pair=[*separation.pair],
-            stderr=scenario.stderr,
-        )
+def _other_load(
+    planned: Sequence[PlannedThrow], pair: tuple[str, str], scenario: LoadScenario
+) -> Finding:
+    """A note on the throws that separate two coefficients under another load than the
+    assumed one."""
+    throws = [
+        {"count": count, "v0": planned[index].v0, "omega0": planned[index].omega0}
+        for index, count in Counter(scenario.throws).items()
+    ]
+    return Finding.note(
+        "other-load-separates",
+        Remedy("assume-load", Option("load", scenario.load)),
+        load=scenario.load,
+        throws=throws,
+        pair=[*pair],
+        stderr=scenario.stderr,
+    )
 
 
 def _scenarios(
