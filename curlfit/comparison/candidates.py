@@ -150,13 +150,11 @@ def with_ranks(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates in the order of `best_first`, with their ranks, differences from the
     best and weights."""
     rivals = [candidate for candidate in candidates if is_rankable(candidate)]
+    rivals = rivals or [candidates[0]]
     if any(candidate.follows for candidate in rivals):
         rivals = [candidate for candidate in rivals if candidate.follows is not False]
     for criterion in _CRITERIA:
-        values = [
-            getattr(candidate, criterion.field)
-            for candidate in rivals or candidates[:1]
-        ]
+        values = [getattr(candidate, criterion.field) for candidate in rivals]
         if None in values:
             continue
         best = criterion.best(values)
@@ -175,9 +173,7 @@ def with_ranks(candidates: Sequence[Candidate]) -> list[Candidate]:
     if odds:
         weights = [value / sum(odds) for value in odds]
     ranked = [
-        replace(candidate, rank=rank, weight=weight)
-        for rank, (candidate, weight) in enumerate(
-            zip(rankable, weights, strict=True), 1
-        )
+        replace(rankable[index], rank=index + 1, weight=weight)
+        for index, weight in enumerate(weights)
     ]
     return [*ranked, *candidates[len(ranked) :]]

@@ -157,10 +157,20 @@ def discriminate(
     if len({*names}) < len(names):
         raise InputError(f"between: {', '.join(names)}; expected different laws")
     contests = _contests(assumed, rival_laws, planned, systematics)
-    first = contests[0].truth
     choice = _chosen(contests, throws)
-    possible = {throw.planned for throw in first.throws}
-    left_out = [throw for throw in planned if throw not in possible]
+    throws_of_first = contests[0].truth.throws
+    candidates = []
+    for index, throw in enumerate(throws_of_first):
+        candidate = PossibleThrow(
+            v0=throw.planned.v0,
+            omega0=throw.planned.omega0,
+            rest=throw.rest.time,
+            distance=throw.rest.distance,
+            log_odds=tuple(contest.promise([index]).log_odds for contest in contests),
+        )
+        candidates.append(candidate)
+    possible = {throw.planned for throw in throws_of_first}
+    left_out = [(plan.v0, abs(plan.omega0)) for plan in planned if plan not in possible]
     return Discrimination(
         laws=_coefficients_by_law(contests),
         load=assumed.load,
@@ -168,22 +178,11 @@ def discriminate(
         sigma=dict(assumed.sigma),
         rate=planned[0].rate,
         until=assumed.until,
-        candidates=tuple(
-            PossibleThrow(
-                throw.planned.v0,
-                throw.planned.omega0,
-                throw.rest.time,
-                throw.rest.distance,
-                tuple(contest.promise([index]).log_odds for contest in contests),
-            )
-            for index, throw in enumerate(first.throws)
-        ),
+        candidates=tuple(candidates),
         throws=tuple(choice.throws),
         pairs=tuple(choice.pairs),
         asked=throws,
-        left_out=tuple(
-            dict.fromkeys((throw.v0, abs(throw.omega0)) for throw in left_out)
-        ),
+        left_out=tuple(dict.fromkeys(left_out)),
     )
 
 
