@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -25,17 +25,22 @@ from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
 from curlfit.inference.solve.initial_values import POINTS, accelerations_along
 from curlfit.losses import LOSSES, Loss
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.throws.throw import scatter
 
 _MOST = 500  # coefficient vectors for which a law is evaluated
-# rms of a residual over what is to be explained, up to which a law follows a path
 _FOLLOWS = 0.1
-_MEDIAN = 5  # rows of a running median that removes single outliers
-# rms of a residual over the noise of the data, up to which it follows in any case
+"""rms of a residual over what is to be explained, up to which a law follows a path."""
 _NOISE = 1.5
-_UNCLEAR = 3.0  # the same, up to which correlated noise may explain the residual
+"""rms of a residual over the noise, up to which a law follows in any case."""
+_UNCLEAR = 3.0
+"""rms of a residual over the noise, up to which correlated noise may explain it."""
+_SEEN = 3.0
+"""rms departure from a straight line over the noise, up to which no curl is seen."""
+_ROUNDING = 1e-9
+"""Friction across the motion over that along it, up to which there is none."""
+_MEDIAN = 5  # rows of a running median that removes single outliers
 _DEGREE = 5  # of the polynomial in time that separates motion from noise
 
 
@@ -62,6 +67,13 @@ class _Misfit(NamedTuple):
     deviation: float
     """rms departure of the path from uniform straight motion, to be explained"""
 
+    @classmethod
+    def of(
+        cls, t: Floats, measured: Floats, residual: Floats, deviation: float, loss: Loss
+    ) -> Self:
+        """From a component of the path at its times."""
+        return cls(loss.size(residual), _noise(t, measured, loss), deviation)
+
     def follows(self, *, correlated: bool) -> bool | None:
         """Whether the fit follows this component; None where noise that is
         correlated may explain the residuals."""
@@ -76,9 +88,9 @@ def adequacy(result: FitResult) -> Adequacy:
     """Whether the law follows the path, and what part of its curl it explains."""
     loss = LOSSES[result.loss]
     observed = result.observed
-    t = observed["t"]
     residual = {name: observed[name] - result.fitted[name] for name in PLACE}
     located = np.isfinite(observed["x"]) & np.isfinite(observed["y"])
+    t = observed["t"][located]
     positions = np.stack([observed["x"], observed["y"]], 1)[located]
     missed = np.stack([residual["x"], residual["y"]], 1)[located]
     bulk = np.stack([_without_outliers(values, loss) for values in positions.T], 1)
@@ -88,34 +100,30 @@ def adequacy(result: FitResult) -> Adequacy:
     if along @ (bulk[-1] - bulk[0]) <= 0:
         along = -along
     across = np.array([along[1], -along[0]])  # to the right
-
-    def misfit(
-        rows: Booleans, measured: Floats, residual: Floats, deviation: float
-    ) -> _Misfit:
-        noise = _noise(t[rows], measured, loss)
-        return _Misfit(loss.size(residual), noise, deviation)
-
     curl = float((bulk @ across).std())
-    sideways = misfit(located, positions @ across, missed @ across, curl)
-    uneven = _unevenness(t[located], bulk @ along)
-    misfits = [sideways, misfit(located, positions @ along, missed @ along, uneven)]
+    uneven = _unevenness(t, bulk @ along)
+    sideways = _Misfit.of(t, positions @ across, missed @ across, curl, loss)
+    lengthwise = _Misfit.of(t, positions @ along, missed @ along, uneven, loss)
+    misfits = [sideways, lengthwise]
     turned = np.isfinite(observed["phi"])
     if turned.sum() > 3:
         phi = observed["phi"][turned]
-        uneven = _unevenness(t[turned], _without_outliers(phi, loss))
-        misfits.append(misfit(turned, phi, residual["phi"][turned], uneven))
+        t_of_phi = observed["t"][turned]
+        uneven = _unevenness(t_of_phi, _without_outliers(phi, loss))
+        angular = _Misfit.of(t_of_phi, phi, residual["phi"][turned], uneven, loss)
+        misfits.append(angular)
 
     correlated = bool(result.noise.correlated) or any(
         independence.doubtful for independence in result.independence.values()
     )
-    verdicts = [component.follows(correlated=correlated) for component in misfits]
+    verdicts = [misfit.follows(correlated=correlated) for misfit in misfits]
     follows: bool | None = True
     if False in verdicts:
         follows = False
     elif None in verdicts:
         follows = None
     noise = sideways.noise
-    if curl <= 3 * noise:
+    if curl <= _SEEN * noise:
         return Adequacy(None, follows, curl, None)
     unexplained = max(sideways.size**2 - noise**2, 0.0) / (curl**2 - noise**2)
     curvature = np.polyfit(bulk @ along, bulk @ across, 2)[0]
@@ -160,7 +168,7 @@ def opposes_sliding(law: type[Law]) -> bool:
     for half in (1.0, 0.0):
         point = sample_points(half)
         xi, eta = general.traction(point)
-        if not np.allclose(xi * point.e_eta, eta * point.e_xi, rtol=0, atol=1e-9):
+        if not np.allclose(xi * point.e_eta, eta * point.e_xi, rtol=0, atol=_ROUNDING):
             return False
     return True
 
@@ -203,8 +211,8 @@ def sides_of_curl(
     slows = eta < 0
     sideways = np.where(slows, xi / np.where(slows, -eta, 1.0), 0.0)
     sides = []
-    if (sideways < -1e-9).any():
+    if (sideways < -_ROUNDING).any():
         sides.append("left")
-    if (sideways > 1e-9).any():
+    if (sideways > _ROUNDING).any():
         sides.append("right")
     return tuple(sides)

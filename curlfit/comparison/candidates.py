@@ -1,14 +1,11 @@
 """What comparisons with one track and with several data sets say alike of
-their candidates.
-
-A candidate that is still being compared is a dictionary of the fields of
-`Candidate`, to which its rank and its differences from the best are added.
-"""
+their candidates."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from curlfit.comparison.adequacy import opposes_sliding
@@ -39,41 +36,42 @@ _CRITERIA = (
 )
 
 
-def about(law: type[Law], load: Load) -> dict[str, Any]:
-    """What is known of a candidate before it is fitted."""
-    return {
-        "law": law.name,
-        "load": "-" if issubclass(law, NetLaw) else load.value,
-        "isotropic": opposes_sliding(law),
-        "signs_free": False,
-    }
+def unfitted(law: type[Law], load: Load) -> Candidate:
+    """A candidate before it is fitted."""
+    return Candidate(
+        law=law.name,
+        load="-" if issubclass(law, NetLaw) else load.value,
+        isotropic=opposes_sliding(law),
+        signs_free=False,
+        status="",
+    )
 
 
-def described(
-    estimates: Mapping[str, Estimate], combinations: Iterable[Combination]
-) -> dict[str, Any]:
-    """The coefficients of a candidate, and the sums of them that are determined."""
-
-    def names_of(verdict: Verdict) -> tuple[str, ...]:
-        return tuple(
-            name for name, estimate in estimates.items() if estimate.verdict == verdict
+def with_coefficients(
+    candidate: Candidate,
+    estimates: Mapping[str, Estimate],
+    combinations: Iterable[Combination],
+) -> Candidate:
+    """The candidate with its coefficients, and the sums of them that are determined."""
+    coefficients = {}
+    names_by_verdict: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
+    for name, estimate in estimates.items():
+        coefficients[name] = Coefficient(
+            estimate.value, estimate.stderr, estimate.verdict, estimate.unit
         )
-
-    return {
-        "coefficients": {
-            name: Coefficient(
-                estimate.value, estimate.stderr, estimate.verdict, estimate.unit
-            )
-            for name, estimate in estimates.items()
-        },
-        "combinations": tuple(
-            Sum(combination.expression, combination.value, combination.stderr)
-            for combination in combinations
-            if combination.weights.keys() & estimates.keys()
-        ),
-        "at_bound": names_of(Verdict.AT_BOUND),
-        "not_identifiable": names_of(Verdict.NOT_IDENTIFIABLE),
-    }
+        names_by_verdict[estimate.verdict].append(name)
+    sums = [
+        Sum(combination.expression, combination.value, combination.stderr)
+        for combination in combinations
+        if combination.weights.keys() & estimates.keys()
+    ]
+    return replace(
+        candidate,
+        coefficients=coefficients,
+        combinations=tuple(sums),
+        at_bound=tuple(names_by_verdict[Verdict.AT_BOUND]),
+        not_identifiable=tuple(names_by_verdict[Verdict.NOT_IDENTIFIABLE]),
+    )
 
 
 def computed(
@@ -119,48 +117,63 @@ def parted(fits: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
     return fitted, failed
 
 
-def counts(fields: dict[str, Any]) -> bool:
+def is_rankable(candidate: Candidate) -> bool:
     """Whether a candidate is ranked: within its bounds, and converged."""
-    return fields["converged"] and not fields["signs_free"]
+    return candidate.converged and not candidate.signs_free
 
 
-def ranked(candidates: Sequence[dict[str, Any]]) -> list[int]:
-    """The order of candidates, best first; their ranks, differences from the best and
-    weights are added to their fields.
+def best_first(candidates: Sequence[Candidate]) -> list[int]:
+    """Indices of candidates in order: those that are ranked, then the others.
 
     A law that does not follow what another follows comes after it: with a flexible
     noise model its likelihood may be greater all the same. Differences of BIC below a
     tenth are meaningless: the order of the request is kept.
     """
-
     some_law_follows = any(
-        counts(fields) and fields["follows"] for fields in candidates
+        is_rankable(candidate) and candidate.follows for candidate in candidates
     )
 
-    def misses(fields: dict[str, Any]) -> bool:
-        return some_law_follows and fields["follows"] is False
-
-    def place(row: int) -> tuple[bool, bool, bool, float]:
-        fields = candidates[row]
+    def place(index: int) -> tuple[bool, bool, bool, float]:
+        candidate = candidates[index]
+        assert candidate.bic is not None
         return (
-            fields["signs_free"],
-            not fields["converged"],
-            misses(fields),
-            round(fields["bic"], 1),
+            candidate.signs_free,
+            not candidate.converged,
+            some_law_follows and candidate.follows is False,
+            round(candidate.bic, 1),
         )
 
-    order = sorted(range(len(candidates)), key=place)
-    in_order = [candidates[row] for row in order]
-    in_rank = [fields for fields in in_order if counts(fields)]
-    rivals = [fields for fields in in_rank if not misses(fields)] or in_order[:1]
+    return sorted(range(len(candidates)), key=place)
+
+
+def with_ranks(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates in the order of `best_first`, with their ranks, differences from the
+    best and weights."""
+    rivals = [candidate for candidate in candidates if is_rankable(candidate)]
+    rivals = rivals or [candidates[0]]
+    if any(candidate.follows for candidate in rivals):
+        rivals = [candidate for candidate in rivals if candidate.follows is not False]
     for criterion in _CRITERIA:
-        if criterion.field in rivals[0]:
-            best = criterion.best(fields[criterion.field] for fields in rivals)
-            for fields in candidates:
-                fields[criterion.difference] = fields[criterion.field] - best
-    total = sum(math.exp(fields.get("delta_evidence", 0.0)) for fields in in_rank)
-    for rank, fields in enumerate(in_rank, 1):
-        fields["rank"] = rank
-        if "delta_evidence" in fields:
-            fields["weight"] = math.exp(fields["delta_evidence"]) / total
-    return order
+        values = [getattr(candidate, criterion.field) for candidate in rivals]
+        if None in values:
+            continue
+        best = criterion.best(values)
+        compared = []
+        for candidate in candidates:
+            difference = getattr(candidate, criterion.field) - best
+            compared.append(replace(candidate, **{criterion.difference: difference}))
+        candidates = compared
+    rankable = [candidate for candidate in candidates if is_rankable(candidate)]
+    odds = [
+        math.exp(candidate.delta_evidence)
+        for candidate in rankable
+        if candidate.delta_evidence is not None
+    ]
+    weights: list[float | None] = [None] * len(rankable)
+    if odds:
+        weights = [value / sum(odds) for value in odds]
+    ranked = [
+        replace(rankable[index], rank=index + 1, weight=weight)
+        for index, weight in enumerate(weights)
+    ]
+    return [*ranked, *candidates[len(ranked) :]]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,12 +22,13 @@ import numpy as np
 from curlfit.comparison.adequacy import Adequacy, adequacy, sides_of_curl
 from curlfit.comparison.candidates import (
     Progress,
-    about,
+    best_first,
     computed,
-    counts,
-    described,
+    is_rankable,
     parted,
-    ranked,
+    unfitted,
+    with_coefficients,
+    with_ranks,
 )
 from curlfit.comparison.criteria import (
     criteria,
@@ -38,7 +39,7 @@ from curlfit.comparison.criteria import (
     residuals_of,
 )
 from curlfit.comparison.lacking import lacking
-from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out, standard_error
+from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.requests import requests_of, with_free_signs
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
@@ -61,26 +62,24 @@ _FAR = 5.0
 a law does not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7
 where friction depends on the speed to the power -0.25."""
 
+_ZERO = 1e-6
+"""Typical sizes, up to which a coefficient is zero but for rounding."""
+
 
 class FittedLaw(NamedTuple):
     """A fit of a law, with what makes it a candidate."""
 
-    fields: dict[str, Any]
-    """of its `Candidate`; more are added as fits are compared"""
+    candidate: Candidate
+    """not yet compared with others"""
     result: FitResult
     likelihood: dict[str, float]
     """logarithm, by channel"""
     adequacy: Adequacy
 
     @property
-    def counts(self) -> bool:
-        """Whether it is ranked."""
-        return counts(self.fields)
-
-    @property
-    def size(self) -> dict[str, float]:
-        """Size of the residuals by channel: of their bulk under a robust loss."""
-        return self.fields.get("bulk") or self.result.rms
+    def log_likelihood(self) -> float:
+        """Of all channels."""
+        return sum(self.likelihood.values())
 
 
 @takes(Comparing, "laws")
@@ -182,20 +181,20 @@ def _fitted_with_signs(
     within_bounds = _fitted(request, family, signs_free=False)
     if (
         isinstance(within_bounds, Candidate)
-        or within_bounds.fields["follows"]
+        or within_bounds.candidate.follows
         or chosen.unbounded
     ):
         return [within_bounds]
     at_zero = any(
         coefficient.verdict == Verdict.AT_BOUND
         and coefficient.lower == 0
-        and coefficient.value < 1e-6 * coefficient.typical
+        and coefficient.value < _ZERO * coefficient.typical
         for coefficient in within_bounds.result.coefficients.values()
     )
     if not at_zero:
         return [within_bounds]
     free = _fitted(with_free_signs(request, chosen), family, signs_free=True)
-    if isinstance(free, Candidate) or not free.fields["negative"]:
+    if isinstance(free, Candidate) or not free.candidate.negative:
         return [within_bounds]
     return [within_bounds, free]
 
@@ -204,35 +203,39 @@ def _fitted(
     request: Request, family: type[LawFamily] | None, *, signs_free: bool
 ) -> FittedLaw | Candidate:
     """A law fitted to a throw; the candidate alone where there is no fit."""
-    fields = about(request.law, request.load) | {
-        "signs_free": signs_free,
-        "noise": request.noise.kind,
-    }
+    candidate = replace(
+        unfitted(request.law, request.load),
+        signs_free=signs_free,
+        noise=request.noise.kind,
+    )
     try:
         result = fit_request(request, details=False, family=family)
     except UnusableFitError as error:
-        return Candidate(**fields, status=str(error))
+        return replace(candidate, status=str(error))
     likelihood = log_likelihood(result)
     adequate = adequacy(result)
-    fields |= described(result.coefficients, result.combinations) | {
-        "status": result.status,
-        "converged": result.converged,
-        "rms": result.rms,
-        "warnings": result.warnings,
-        "noise_model": result.noise,
-        "n_parameters": number_of_parameters(result),
-        "curl_explained": adequate.explained,
-        "follows": adequate.follows,
-        "log_likelihood": sum(likelihood.values()),
-        "sides": sides_of_curl(request.law, request.load, result, family),
-        "negative": _needed_negative(result),
-        "fitted": {name: result.fitted[name].tolist() for name in PLACE},
-    }
+    bulk = None
     loss = LOSSES[result.loss]
     if loss.is_robust:
         residuals = residuals_of(result)
-        fields["bulk"] = {name: loss.size(r) for name, r in residuals.items()}
-    return FittedLaw(fields, result, likelihood, adequate)
+        bulk = {name: loss.size(values) for name, values in residuals.items()}
+    candidate = replace(
+        with_coefficients(candidate, result.coefficients, result.combinations),
+        status=result.status,
+        converged=result.converged,
+        rms=result.rms,
+        bulk=bulk,
+        warnings=result.warnings,
+        noise_model=result.noise,
+        n_parameters=number_of_parameters(result),
+        curl_explained=adequate.explained,
+        follows=adequate.follows,
+        log_likelihood=sum(likelihood.values()),
+        sides=sides_of_curl(request.law, request.load, result, family),
+        negative=_needed_negative(result),
+        fitted={name: result.fitted[name].tolist() for name in PLACE},
+    )
+    return FittedLaw(candidate, result, likelihood, adequate)
 
 
 def _needed_negative(result: FitResult) -> tuple[str, ...]:
@@ -247,14 +250,9 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     ]
     value = np.array([result.parameters[name].value for name in names])
     typical = np.array([result.parameters[name].typical for name in names])
+    null_directions = result.identifiability.null_directions
     ridge = np.array(
-        [
-            [
-                direction.get(name, 0.0)
-                for direction in result.identifiability.null_directions
-            ]
-            for name in names
-        ]
+        [[direction.get(name, 0.0) for direction in null_directions] for name in names]
     )
     if ridge.size:
         # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical;
@@ -267,75 +265,109 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
             bounds=[(None, None)] * directions + [(0, None)] * parameters,
         )
         value = value + ridge @ optimum.x[:directions]
-    below_zero = value < -1e-6 * typical
-    return tuple(name for name, low in zip(names, below_zero, strict=True) if low)
+    return tuple(compress(names, value < -_ZERO * typical))
 
 
 def _compared(
-    laws: list[FittedLaw], failed: Sequence[Candidate], family: type[LawFamily] | None
+    fits: Sequence[FittedLaw],
+    failed: Sequence[Candidate],
+    family: type[LawFamily] | None,
 ) -> Comparison:
     """The comparison of laws fitted to one throw, given in the order of the request."""
-    first = laws[0].result
-    path = laws[0].adequacy
-    noises = list(dict.fromkeys(law.result.noise.kind for law in laws))
-    countable = [law for law in laws if law.counts] or laws
-    likeliest = max(countable, key=lambda law: law.fields["log_likelihood"])
+    first = fits[0].result
+    path = fits[0].adequacy
+    noises = list(dict.fromkeys(fit.result.noise.kind for fit in fits))
+    rankable = [fit for fit in fits if is_rankable(fit.candidate)] or fits
+    likeliest = max(rankable, key=lambda fit: fit.log_likelihood)
     effective = effective_values(likeliest.result)
-    for law in laws:
-        law.fields.update(criteria(law.result, law.likelihood, effective))
-    _require_small_residuals(laws)
+    fits = [
+        _changed(fit, **criteria(fit.result, fit.likelihood, effective))
+        for fit in _judged_by_size(fits)
+    ]
     if not effective.number and len(noises) == 1:
-        _add_predictions(laws, family)
-    laws = [laws[row] for row in ranked([law.fields for law in laws])]
+        fits = _with_predictions(fits, family)
+    order = best_first([fit.candidate for fit in fits])
+    fits = [fits[index] for index in order]
+    ranked = with_ranks([fit.candidate for fit in fits])
     return Comparison(
         data=first.data,
         stone=first.stone,
         curl=path.curl,
         side=path.side,
-        candidates=(*(Candidate(**law.fields) for law in laws), *failed),
+        candidates=(*ranked, *failed),
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
-        fits=(*(law.result for law in laws), *(None for _ in failed)),
+        fits=(*(fit.result for fit in fits), *(None for _ in failed)),
         loss=first.loss,
         noise=",".join(noises),
         effective=effective.number,
     )
 
 
-def _require_small_residuals(laws: Sequence[FittedLaw]) -> None:
-    """No law follows the path that leaves far larger residuals than another, beyond the
-    noise of an ordinary tracker."""
-    physical = [
-        law for law in laws if law.result.converged and not law.fields["negative"]
-    ]
+def _changed(fit: FittedLaw, **fields: Any) -> FittedLaw:
+    """The fit with some fields of its candidate changed."""
+    return fit._replace(candidate=replace(fit.candidate, **fields))
+
+
+def _judged_by_size(fits: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """The fits, of which those do not follow the path that leave far larger residuals
+    than another, beyond the noise of an ordinary tracker."""
+    candidates = [fit.candidate for fit in fits]
+    least_sizes = {}
     for name, sigma in NOISE.items():
-        sizes = [law.size[name] for law in physical if name in law.size]
-        least = max(sigma, min(sizes, default=math.inf))
-        for law in laws:
-            if law.size.get(name, 0.0) > _FAR * least:
-                law.fields["follows"] = False
+        sizes = [
+            candidate.residual_size[name]
+            for candidate in candidates
+            if candidate.converged
+            and not candidate.negative
+            and name in candidate.residual_size
+        ]
+        least_sizes[name] = max(sigma, min(sizes, default=math.inf))
+    judged = []
+    for fit in fits:
+        sizes_of_fit = fit.candidate.residual_size
+        if any(
+            sizes_of_fit.get(name, 0.0) > _FAR * least
+            for name, least in least_sizes.items()
+        ):
+            fit = _changed(fit, follows=False)
+        judged.append(fit)
+    return judged
 
 
-def _add_predictions(laws: Sequence[FittedLaw], family: type[LawFamily] | None) -> None:
-    """Evidence and leave-one-out, which are valid for independent residuals only: a
-    small effective sample size does not determine the shape of a likelihood, and a row
-    that is correlated with its neighbours is predicted from them whatever the law."""
-    best: LeaveOneOut | None = None
-    scored = []
-    for law in laws:
-        law.fields["log_evidence"] = log_evidence(
-            law.result, law.fields["log_likelihood"]
-        )
-        score = leave_one_out(law.result, family)
-        if score is None:
-            continue
-        scored.append((law, score))
-        if law.counts and (best is None or score.elpd > best.elpd):
-            best = score
-    for law, score in scored:
-        law.fields["elpd_loo"] = score.elpd
-        law.fields["elpd_loo_se"] = score.stderr
-        law.fields["p_loo"] = score.p_loo
-        if best is not None:
-            difference = score.left_out - best.left_out
-            law.fields["delta_elpd"] = score.elpd - best.elpd
-            law.fields["delta_elpd_se"] = standard_error(difference)
+def _with_predictions(
+    fits: Sequence[FittedLaw], family: type[LawFamily] | None
+) -> list[FittedLaw]:
+    """The fits with evidence and leave-one-out of their candidates, which are valid
+    for independent residuals only: a small effective sample size does not determine
+    the shape of a likelihood, and a row that is correlated with its neighbours is
+    predicted from them whatever the law."""
+    predictions = [leave_one_out(fit.result, family) for fit in fits]
+    best = max(
+        (
+            prediction
+            for fit, prediction in zip(fits, predictions, strict=True)
+            if prediction is not None and is_rankable(fit.candidate)
+        ),
+        key=lambda prediction: prediction.elpd,
+        default=None,
+    )
+    predicted = []
+    for fit, prediction in zip(fits, predictions, strict=True):
+        evidence = log_evidence(fit.result, fit.log_likelihood)
+        fit = _changed(fit, log_evidence=evidence)
+        if prediction is not None:
+            fit = _changed(
+                fit,
+                elpd_loo=prediction.elpd,
+                elpd_loo_se=prediction.stderr,
+                p_loo=prediction.p_loo,
+            )
+            if best is not None:
+                by_row = prediction.left_out - best.left_out
+                fit = _changed(
+                    fit,
+                    delta_elpd=prediction.elpd - best.elpd,
+                    delta_elpd_se=standard_error(by_row),
+                )
+        predicted.append(fit)
+    return predicted

@@ -62,11 +62,15 @@ from curlfit.throws.throw import CHANNELS
 
 NULL = 1e-13
 """Share of the largest singular value below which one is rounding error."""
-# standard deviation of a coefficient's prior over its typical size or default
+_EXACT = 10 * SIGMA_FLOOR
+"""Size of residuals, m or rad, up to which they are rounding errors of exact data."""
 _ORDER = 3.0
+"""Standard deviation of a coefficient's prior over its typical size or default: the
+order of magnitude."""
 _FAR = 8.0  # standard deviations within which a bound matters
 _PROPOSALS = 4096  # along a ridge
-_FEWEST = 100  # effective number of these, below which the sum is not trusted
+_FEWEST = 100
+"""Effective number of proposals, below which their sum is not trusted."""
 _LEAST = 1e-12  # smallest probability of a box, and stiffness
 
 
@@ -139,7 +143,7 @@ def effective_values(result: FitResult) -> EffectiveValues:
         independence = result.independence.get(name)
         if independence is None or not independence.doubtful:
             continue
-        if result.rms[name] > 10 * SIGMA_FLOOR:
+        if result.rms[name] > _EXACT:
             r = (independence.lag1 + p / n) / (1 - (2 + p) / n)
             number[name] = max(n * (1 - r) / (1 + r), 1.0)
     return EffectiveValues(number, p)

@@ -26,7 +26,8 @@ from curlfit.numerics.penalized_spline import PenalizedSpline
 
 _STEP = 1e-3  # typical sizes, of differences
 _FEWEST = 40  # rows in which the stone moves
-_SLOWEST = 0.1  # over the initial speed: below, what is lacking changes too fast
+_SLOWEST = 0.1
+"""Speed over the largest, below which what is lacking changes too fast."""
 
 
 class _States(NamedTuple):
@@ -73,10 +74,10 @@ def lacking(
     x_rate = np.gradient(fitted["x"][moving], t)
     y_rate = np.gradient(fitted["y"][moving], t)
     of_fit = _States(
-        np.interp(at, t, fitted["speed"][moving]),
-        np.interp(at, t, fitted["omega"][moving]),
-        np.interp(at, t, fitted["phi"][moving]),
-        at - observed["t"][0],
+        speed=np.interp(at, t, fitted["speed"][moving]),
+        omega=np.interp(at, t, fitted["omega"][moving]),
+        phi=np.interp(at, t, fitted["phi"][moving]),
+        t=at - observed["t"][0],
     )
     heading = np.interp(at, t, np.unwrap(np.arctan2(x_rate, y_rate)))
     sine = np.sin(heading)
@@ -89,10 +90,10 @@ def lacking(
 
     # the measured one: to the right of its own motion, along it, and angular
     measured = _States(
-        np.hypot(vx, vy),
-        of_fit.omega + rate["phi"],
-        of_fit.phi + residual["phi"].at(at)[0],
-        of_fit.t,
+        speed=np.hypot(vx, vy),
+        omega=of_fit.omega + rate["phi"],
+        phi=of_fit.phi + residual["phi"].at(at)[0],
+        t=of_fit.t,
     )
     sine = vx / measured.speed
     cosine = vy / measured.speed
@@ -112,13 +113,13 @@ def lacking(
     )
     of_law = _accelerations(best, family, measured)
     return Lacking(
-        label,
-        measured.speed,
-        measured.omega,
-        of_law,
-        of_path - of_law,
-        np.hypot(by_spline, _errors(best, family, measured)),
-        {
+        law=label,
+        speed=measured.speed,
+        omega=measured.omega,
+        of_law=of_law,
+        lacks=of_path - of_law,
+        stderr=np.hypot(by_spline, _errors(best, family, measured)),
+        others={
             other: _accelerations(fit, family, measured) - of_law
             for other, fit in others.items()
         },

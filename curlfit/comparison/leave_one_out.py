@@ -41,9 +41,13 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
-_STEP = 0.1  # standard errors of a parameter with all others known, of differences
-_HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
-_ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
+_STEP = 0.1
+"""Step of differences, in standard errors of a parameter with all others known."""
+_HARD = 50.0
+"""Standard deviations by which a parameter is pushed against its bound, beyond which
+its density is exponential."""
+_ALONE = 1e-9
+"""1 - leverage of a row, below which it alone determines a parameter."""
 
 
 class LeaveOneOut(NamedTuple):
@@ -85,27 +89,27 @@ def leave_one_out(
     if LOSSES[result.loss].is_robust or not result.noise.is_white:
         return None
     posterior = Posterior.of(result)
-    free = result.parameter_set.free
+    parameters = result.parameter_set
+    free = parameters.free
     problem = problem_of(result)
     channels = problem.observed.shape[0]
     n = len(result.observed["t"])  # the rows of a problem are filled up to more
     weight = problem.weight[:, :n]
     measured = weight > 0
-    values = result.values
-    parameters = result.parameter_set
     model = result.model.within(family)
-    error = np.sqrt(np.diag(result.information.matrix))
+    # of a parameter with all others known: one over its standard error
+    precision_alone = np.sqrt(np.diag(result.information.matrix))
     step = _STEP * parameters.typical
-    step[free] = _STEP / np.maximum(error, 1 / parameters.typical[free])
+    step[free] = _STEP / np.maximum(precision_alone, 1 / parameters.typical[free])
 
     def weighted_path(values: Floats) -> Floats:
         path = np.asarray(predict_channels(model, values, problem))[:channels, :n]
         return np.where(measured, path * weight, 0.0)
 
-    residual = problem.observed[:, :n] * weight - weighted_path(values)
+    residual = problem.observed[:, :n] * weight - weighted_path(result.values)
     jacobian = slopes(
         weighted_path,
-        values,
+        result.values,
         step,
         free,
         lower=parameters.lower,
@@ -206,15 +210,16 @@ def densities(
     """
     channels, n, count = jacobian.shape
     measured = weight > 0
-    # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
+    # The rows of all channels, then those of the prior, in orthonormal columns: J^T J
+    # without a row is then 1 - Q_i^T Q_i.
     design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
     size = np.sqrt((design**2).sum(0))
     left, singular, _ = np.linalg.svd(
         design / np.where(size > 0, size, 1.0), full_matrices=False
     )
     basis = left[:, singular > NULL * singular.max(initial=0.0)]
-    off = np.concatenate([residual.ravel(), prior_residual])
-    refitted = off - basis @ (basis.T @ off)
+    target = np.concatenate([residual.ravel(), prior_residual])
+    refitted = target - basis @ (basis.T @ target)
     # subscripts of einsum: c, d channels, i rows, k, l columns of the basis
     e = refitted[: channels * n].reshape(channels, n)
     q = basis[: channels * n].reshape(channels, n, -1)
@@ -232,27 +237,31 @@ def densities(
     squares = (e**2).sum(1)
     squares_out = squares[:, None] + 2 * gradient @ change.T - e_out**2
     squares_out += np.einsum("ik,ckl,il->ci", change, information, change)
-    spent = np.einsum("icc->c", hat)
+    dof = measured.sum(1) - np.einsum("icc->c", hat)
+    # least variance of the noise of a channel, over that of its weights
     floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
 
     def log_density(
         residual: Floats, covariance: Floats, squares: Floats, dof: Floats
     ) -> Floats:
-        """Log density of each row, from its residual (channels, n) and the covariance
-        of that (n, channels, channels)."""
+        """Log density of each row that has values, in SI units.
+
+        Parameters
+        ----------
+        residual : shape (channels, n).
+        covariance : of the residuals of a row, shape (n, channels, channels).
+        squares, dof : by which sigma is estimated, by row and channel.
+        """
         dof = np.maximum(dof, 1.0)
         scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
         lower = np.linalg.cholesky(covariance)
         u = np.linalg.solve(lower, residual.T[..., None])[..., 0] / scale
         by_channel = np.where(estimated, _log_student(u, dof), _log_normal(u))
         by_channel -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
-        # the density of a value in SI units
         by_channel += np.log(np.where(measured, weight, 1.0)).T
-        return np.where(measured.T, by_channel, 0.0).sum(1)
+        return np.where(measured.T, by_channel, 0.0).sum(1)[measured.any(0)]
 
-    dof = measured.sum(1) - spent
-    with_values = measured.any(0)
     return LeaveOneOut(
-        log_density(e_out, covariance, squares_out.T, dof - 1)[with_values],
-        log_density(e, np.eye(channels) + hat, squares, dof)[with_values],
+        left_out=log_density(e_out, covariance, squares_out.T, dof - 1),
+        fitted=log_density(e, np.eye(channels) + hat, squares, dof),
     )

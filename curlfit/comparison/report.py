@@ -31,7 +31,7 @@ from curlfit.comparison.candidate_columns import (
 )
 from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
-from curlfit.comparison.tables import coefficients_table, summary
+from curlfit.comparison.tables import coefficients_table, finding, order_by_bic
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted
@@ -77,7 +77,8 @@ def document(comparison: Comparison) -> Document:
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
-        **summary(comparison, first_conclusion, " and {} more"),
+        finding=finding(comparison),
+        lines=[order_by_bic(comparison, " and {} more"), first_conclusion],
         subject=f"{fits}; the path {curl}",
         headline=Text(fits, style="bold"),
         about=(

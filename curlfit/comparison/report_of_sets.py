@@ -20,7 +20,7 @@ from curlfit.comparison.candidate_columns import (
     difference,
 )
 from curlfit.comparison.result import Candidate, Comparison, OnSet, SetOfData
-from curlfit.comparison.tables import coefficients_table, summary
+from curlfit.comparison.tables import coefficients_table, finding, order_by_bic
 from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.information.verdict import Verdict
@@ -42,10 +42,9 @@ def document_of_sets(comparison: Comparison) -> Document:
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     odd_rows = odd_rows_in_words(comparison.odd_rows)
-    of_ranks = summary(comparison, first_conclusion, " ...")
     return Document(
-        finding=of_ranks["finding"],
-        lines=[*odd_rows, *of_ranks["lines"]],
+        finding=finding(comparison),
+        lines=[*odd_rows, order_by_bic(comparison, " ..."), first_conclusion],
         subject=f"{laws}: {files}",
         headline=Text(f"{laws}: {files}", style="bold"),
         about=[*map(_about, sets), *map(Said, odd_rows)],
@@ -99,8 +98,8 @@ def _noise(data_set: SetOfData) -> Finding:
     is_track = data_set.kind == "track"
     code = "sigma-of-best-law-or-tracker" if is_track else "sigma-of-best-law"
     sigma = [{"name": name, "value": value} for name, value in data_set.sigma.items()]
-    finding = Finding.note(code, law=data_set.noise_of, sigma=sigma)
-    return finding.of(short(data_set))
+    note = Finding.note(code, law=data_set.noise_of, sigma=sigma)
+    return note.of(short(data_set))
 
 
 def _per_value(chi_squared: float, dof: float) -> str:
@@ -159,13 +158,13 @@ def _fit_to_set(index: int, candidate: Candidate) -> OnSet | None:
     return candidate.sets[index] if candidate.sets else None
 
 
-def _misfit(on: OnSet, *, several: bool) -> Text:
+def _misfit(on_set: OnSet, *, several: bool) -> Text:
     """Chi squared per degree of freedom and, of several data sets, that with the
     coefficients of this one alone."""
-    misfit = _per_value(on.chi_squared, on.dof)
+    misfit = _per_value(on_set.chi_squared, on_set.dof)
     if several:
-        misfit += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
-    return Text(misfit, style="green" if on.follows else "yellow")
+        misfit += f" ({_per_value(on_set.own_chi_squared, on_set.own_dof)})"
+    return Text(misfit, style="green" if on_set.follows else "yellow")
 
 
 def _follows(candidate: Candidate) -> Text:
@@ -174,7 +173,7 @@ def _follows(candidate: Candidate) -> Text:
         return Text(candidate.status, style="red")
     if candidate.follows:
         return Text("yes", style="green")
-    apart = all(on.own_follows for on in candidate.sets)
+    apart = all(on_set.own_follows for on_set in candidate.sets)
     several = len(candidate.sets) > 1
     return Text("each alone" if apart and several else "no", style="yellow")
 
@@ -183,7 +182,7 @@ def _alone(comparison: Comparison) -> Table[Candidate]:
     """Which law each data set alone prefers."""
     fitted = [candidate for candidate in comparison.candidates if candidate.sets]
     columns = _columns_of_sets(
-        comparison, lambda on: difference(on.own_delta_bic), right=True
+        comparison, lambda on_set: difference(on_set.own_delta_bic), right=True
     )
     return Table(
         fitted,
@@ -197,13 +196,13 @@ def _against(comparison: Comparison) -> Table[Candidate]:
 
     def far_off(candidate: Candidate) -> tuple[Text, ...]:
         residuals = []
-        for data_set, on in zip(comparison.sets, candidate.sets, strict=False):
+        for data_set, on_set in zip(comparison.sets, candidate.sets, strict=False):
             far = [
                 f"{what} by {abs(off):.2g}"
-                for what, off in on.largest
+                for what, off in on_set.largest
                 if abs(off) > _FAR
             ]
-            if far and not on.follows:
+            if far and not on_set.follows:
                 residuals.append(Text(f"{short(data_set)}: {join_words(far)} sigma"))
         return tuple(residuals)
 
@@ -219,8 +218,8 @@ def _against(comparison: Comparison) -> Table[Candidate]:
 def _determined(comparison: Comparison) -> Table[Candidate]:
     """The coefficients that each data set determines."""
 
-    def in_words(on: OnSet) -> Cell:
-        return ", ".join(on.determined) or Text("-", style=STYLE["weak"])
+    def in_words(on_set: OnSet) -> Cell:
+        return ", ".join(on_set.determined) or Text("-", style=STYLE["weak"])
 
     fitted = [candidate for candidate in comparison.candidates if candidate.sets]
     columns = _columns_of_sets(comparison, in_words, wraps=True)
@@ -237,7 +236,7 @@ def _conclusions(comparison: Comparison) -> list[str]:
         for candidate in fitted
         if several
         and not candidate.follows
-        and all(on.own_follows for on in candidate.sets)
+        and all(on_set.own_follows for on_set in candidate.sets)
     ]
     lines = [f"No law follows {what}."]
     if following:
@@ -254,30 +253,26 @@ def _conclusions(comparison: Comparison) -> list[str]:
             lines.append(
                 f"No law follows {short(data_set)}, even with coefficients of its own."
             )
-    return [*lines, *_gained(fitted[:1], comparison.sets)]
+    if fitted:
+        lines += _gained(fitted[0], comparison.sets)
+    return lines
 
 
-def _gained(
-    candidates: Sequence[Candidate], data_sets: Sequence[SetOfData]
-) -> list[str]:
-    """What is determined by all data sets, but by none of them."""
+def _gained(candidate: Candidate, data_sets: Sequence[SetOfData]) -> list[str]:
+    """What all data sets determine of a law together but none of them alone, and what
+    each of them determines."""
+    determined = {combination["expression"] for combination in candidate.combinations}
+    for name, coefficient in (candidate.coefficients or {}).items():
+        if coefficient["verdict"] in (Verdict.DETERMINED, Verdict.WEAK):
+            determined.add(name)
+    alone = {name for on_set in candidate.sets for name in on_set.determined}
     lines = []
-    for candidate in candidates:
-        determined = {
-            name
-            for name, coefficient in (candidate.coefficients or {}).items()
-            if coefficient["verdict"] in (Verdict.DETERMINED, Verdict.WEAK)
-        }
-        determined |= {
-            combination["expression"] for combination in candidate.combinations
-        }
-        alone = {name for on in candidate.sets for name in on.determined}
-        if gained := sorted(determined - alone):
-            lines.append(
-                f"{candidate.label}: {join_words(gained)} by all data sets "
-                "together, by none alone."
-            )
-        for data_set, on in zip(data_sets, candidate.sets, strict=True):
-            names = join_words(on.determined) if on.determined else "nothing"
-            lines.append(f"{candidate.label}: {short(data_set)} determines {names}.")
+    if gained := sorted(determined - alone):
+        lines.append(
+            f"{candidate.label}: {join_words(gained)} by all data sets "
+            "together, by none alone."
+        )
+    for data_set, on_set in zip(data_sets, candidate.sets, strict=True):
+        names = join_words(on_set.determined) if on_set.determined else "nothing"
+        lines.append(f"{candidate.label}: {short(data_set)} determines {names}.")
     return lines

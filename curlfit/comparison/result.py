@@ -247,8 +247,10 @@ class Lacking:
     def is_complete(self) -> bool:
         """Whether all series have the same length."""
         n = len(self.speed)
-        series = (self.of_law, self.lacks, self.stderr, *self.others.values())
-        return len(self.omega) == n and {one.shape for one in series} == {(3, n)}
+        accelerations = (self.of_law, self.lacks, self.stderr, *self.others.values())
+        return len(self.omega) == n and all(
+            series.shape == (3, n) for series in accelerations
+        )
 
     def significance(self, other: str = "") -> Floats:
         """What is lacking over its standard error, or what another law would
@@ -257,7 +259,7 @@ class Lacking:
         return left / np.maximum(self.stderr, np.finfo(float).tiny)
 
     def size(self, other: str = "") -> float:
-        """Mean square of it."""
+        """Mean square of `significance`."""
         return float((self.significance(other) ** 2).mean())
 
     @property
@@ -329,13 +331,14 @@ class Comparison(Record):
     ) -> Candidate:
         """The candidate of a law; with several noise models the best, unless one is
         named. Raises KeyError if there is none."""
-        for item in self.candidates:
-            same = (item.law, item.signs_free) == (law, signs_free) and item.load in (
-                load,
-                "-",
-            )
-            if same and noise in (None, item.noise):
-                return item
+        for candidate in self.candidates:
+            if (
+                candidate.law == law
+                and candidate.load in (load, "-")
+                and candidate.signs_free == signs_free
+                and noise in (None, candidate.noise)
+            ):
+                return candidate
         raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
 
     def require_consistent(self) -> None:
@@ -345,14 +348,14 @@ class Comparison(Record):
         require_rows("observed", self.observed, len(self.observed["t"]))
         if self.lacking is not None:
             require("lacking", self.lacking.is_complete(), "series of one length")
-        for one in self.candidates:
-            if one.sets:
-                require("candidates", len(one.sets) == len(self.sets), "all data sets")
-            if one.fitted is not None:
-                require(
-                    "candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi"
-                )
-                require_rows("candidates", one.fitted, len(self.observed["t"]))
+        for candidate in self.candidates:
+            if candidate.sets:
+                is_complete = len(candidate.sets) == len(self.sets)
+                require("candidates", is_complete, "all data sets")
+            if candidate.fitted is not None:
+                is_complete = candidate.fitted.keys() == set(PLACE)
+                require("candidates", is_complete, "fitted x, y and phi")
+                require_rows("candidates", candidate.fitted, len(self.observed["t"]))
 
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, one row each, best first; sizes
@@ -378,5 +381,4 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     >>> curlfit.load_comparison("compare.json").best.law
     'front-back'
     """
-
     return Comparison.read(file)

@@ -18,16 +18,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
+import jax
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from curlfit.comparison.candidates import (
     Progress,
-    about,
+    best_first,
     computed,
-    described,
     parted,
-    ranked,
+    unfitted,
+    with_coefficients,
+    with_ranks,
 )
 from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, SetOfData
 from curlfit.errors import InputError, UnusableFitError
@@ -42,16 +44,19 @@ from curlfit.inference.together.data_sets import LawOnSets, Noise, best, data_se
 from curlfit.losses import LINEAR
 from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Comparing
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import Throw
 
-# probability of a larger chi squared, where few values make larger ones likely
 _CHANCE = 0.01
-_AGREE = 0.001  # the same, for the rise of chi squared by common coefficients
+"""Probability of a larger chi squared, down to which a law follows a data set: few
+values make larger ones likely."""
+_AGREE = 0.001
+"""Probability of a larger rise of chi squared by common coefficients, down to which
+data sets agree."""
 _LARGEST = 3  # residuals that are named
-
 
 _ONE_TRACK: dict[str, Any] = {
     "loss": LINEAR,
@@ -108,7 +113,7 @@ def compare_sets(
         try:
             return _FitsAlone.of(LawOnSets(law, load, sets, chosen, family))
         except UnusableFitError as error:
-            return Candidate(**about(law, load), status=str(error))
+            return replace(unfitted(law, load), status=str(error))
 
     names = [law.name for law, _ in laws_and_loads]
     fits, failed = parted(
@@ -117,9 +122,10 @@ def compare_sets(
     noise, laws_of_noise = _common_noise(fits)
     names = [fit.law.law.name for fit in fits]
     arguments = [(fit, noise) for fit in fits]
-    fields_by_law = computed(_fields_of, arguments, names, count, 2 * count, progress)
-    _count_from_least_bic(fields_by_law)
-    ordered = [fields_by_law[row] for row in ranked(fields_by_law)]
+    candidates = _counted_from_least_bic(
+        computed(_compared, arguments, names, count, 2 * count, progress)
+    )
+    in_order = [candidates[index] for index in best_first(candidates)]
     first = fits[0].law
     return Comparison(
         data=DataOfFit(
@@ -132,7 +138,7 @@ def compare_sets(
         stone=first.stack.requests[0].stone,
         curl=0.0,
         side=None,
-        candidates=(*(Candidate(**fields) for fields in ordered), *failed),
+        candidates=(*with_ranks(in_order), *failed),
         observed={name: [] for name in ("t", "x", "y", "phi")},
         odd_rows=_odd_rows(data),
         sets=tuple(
@@ -150,17 +156,20 @@ def _odd_rows(data: Sequence[Throw | FrictionTable]) -> tuple[OddRow, ...]:
 
 
 def _deviances(
-    optimum: Solution, weight: Floats, unknown: Booleans, count: Floats
+    optimum: Solution, weight: Floats, unknown: Booleans, values: Floats
 ) -> Floats:
-    """-2 log-likelihood of each throw or table, up to a constant that all laws share;
-    an unknown sigma has its likeliest value."""
+    """-2 log-likelihood of each throw or table, up to a constant that all laws share.
+
+    Parameters
+    ----------
+    unknown : by throw or table and channel, whether sigma has its likeliest value.
+    values : effective numbers of values, of the same shape.
+    """
     chi_squared = (optimum.residual**2).sum(-1)
-    largest = weight.max(-1)
-    is_measured = count > 0
-    variance = np.where(is_measured, chi_squared, 1.0) / np.where(
-        is_measured, count * largest**2, 1.0
-    )
-    of_unknown = count * np.log(np.maximum(variance, np.finfo(float).tiny))
+    is_measured = values > 0
+    squares = np.where(is_measured, chi_squared, 1.0)
+    variance = squares / np.where(is_measured, values * weight.max(-1) ** 2, 1.0)
+    of_unknown = values * np.log(np.maximum(variance, np.finfo(float).tiny))
     return np.where(unknown, of_unknown, chi_squared).sum(-1)
 
 
@@ -169,85 +178,78 @@ def _common_noise(fits: Sequence[_FitsAlone]) -> tuple[Noise, list[str]]:
     data set alone; and these laws, by data set."""
     first = fits[0].law
     rows = np.arange(len(first.owner))
-    # Of each law, the noise of a row is that of the fit to its data set.
-    noises = [
-        Noise(
-            sigma=np.stack([noise.sigma for noise in fit.noises])[first.owner, rows],
-            share=np.stack([noise.share for noise in fit.noises])[first.owner, rows],
-            assumed=np.stack([noise.assumed for noise in fit.noises])[
-                first.owner, rows
-            ],
-        )
-        for fit in fits
-    ]
-    sigmas = np.nan_to_num([noise.sigma for noise in noises], nan=np.inf)
-    least = sigmas.argmin(0)[None]
-
-    def of_least(parts: Sequence[Any]) -> Any:
-        return np.take_along_axis(np.array(parts), least, 0)[0]
-
-    common = Noise(
-        sigma=of_least([noise.sigma for noise in noises]),
-        share=of_least([noise.share for noise in noises]),
-        assumed=of_least([noise.assumed for noise in noises]),
+    by_law = stacked([stacked(fit.noises) for fit in fits])
+    # of each law, the noise of a row is that of the fit to its data set
+    noises: Noise = jax.tree.map(lambda values: values[:, first.owner, rows], by_law)
+    least = np.nan_to_num(noises.sigma, nan=np.inf).argmin(0)
+    common = jax.tree.map(
+        lambda values: np.take_along_axis(values, least[None], 0)[0], noises
     )
     laws_of_noise = []
     for number in range(len(first.sets)):
         of_set = first.of_set(number)[:, None]
         estimated = of_set & first.unknown & (first.counts() > 0)
-        laws = [fits[index].law.law.name for index in least[0][estimated]]
+        laws = [fits[index].law.law.name for index in least[estimated]]
         laws_of_noise.append(", ".join(dict.fromkeys(laws)))
     return common, laws_of_noise
 
 
-def _count_from_least_bic(fields_by_law: Sequence[dict[str, Any]]) -> None:
-    """Let the BIC of laws on each data set alone be differences from the least."""
+def _counted_from_least_bic(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates whose BIC on each data set alone is counted from the least."""
     bic = np.array(
-        [[on_set.own_delta_bic for on_set in law["sets"]] for law in fields_by_law]
+        [
+            [on_set.own_delta_bic for on_set in candidate.sets]
+            for candidate in candidates
+        ]
     )
     differences = (bic - bic.min(axis=0)).tolist()
-    for fields, of_law in zip(fields_by_law, differences, strict=True):
-        fields["sets"] = tuple(
+    counted = []
+    for candidate, of_law in zip(candidates, differences, strict=True):
+        sets = [
             replace(on_set, own_delta_bic=difference)
-            for on_set, difference in zip(fields["sets"], of_law, strict=True)
-        )
+            for on_set, difference in zip(candidate.sets, of_law, strict=True)
+        ]
+        counted.append(replace(candidate, sets=tuple(sets)))
+    return counted
 
 
-def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
-    """The fields of a law's `Candidate` with the common noise: at its common optimum,
-    and beside it at those of each set, whose BIC stands in place of its difference
-    from the least."""
+def _compared(fits: _FitsAlone, noise: Noise) -> Candidate:
+    """A law with the common noise: at its common optimum, and beside it at those of
+    each set, whose BIC stands in place of its difference from the least."""
     law = fits.law
     weight = law.weights(noise)
-    members = [law.of_set(number) for number in range(len(law.sets))]
-    alone = [
-        law.optimum(inside, optimum.values, weight)
-        for inside, optimum in zip(members, fits.optima, strict=True)
+    rows_by_set = [law.of_set(number) for number in range(len(law.sets))]
+    optima = [
+        law.optimum(rows, optimum.values, weight)
+        for rows, optimum in zip(rows_by_set, fits.optima, strict=True)
     ]
-    common = law.together(alone, weight)
-    alone = [
-        _no_worse_than(common, law, inside, optimum, weight)
-        for inside, optimum in zip(members, alone, strict=True)
-    ]
-    count = law.counts() * noise.share
+    common_optimum = law.together(optima, weight)
+    for number, rows in enumerate(rows_by_set):
+        of_common = common_optimum.chi_squared[rows].sum()
+        if of_common >= optima[number].chi_squared[rows].sum():
+            continue
+        # the search of this set alone ended too early
+        from_common = law.optimum(rows, common_optimum.values, weight)
+        optima[number] = best([optima[number], from_common])
+    common = law.at_optimum(common_optimum)
+    covariance = common.covariance()
+    departures = law.departures_of_all(covariance, common_optimum, weight)
+    values = law.counts() * noise.share  # effective numbers
     unknown = law.unknown & ~noise.assumed
-    joint = law.at_optimum(common)
-    of_all = joint.covariance()
-    departures = law.departures_of_all(of_all, common, weight)
+    spent_by_row = common.parameters()
     sets = []
-    ranks = 0
-    for inside, optimum in zip(members, alone, strict=True):
+    rank_of_sets = 0
+    for rows, optimum in zip(rows_by_set, optima, strict=True):
         of_set = law.at_optimum(optimum)
-        ranks += of_set.covariance(inside).identifiability.rank
-        values = float(count[inside].sum())
-        spent = float(of_set.parameters()[inside].sum())
-        deviances = _deviances(optimum, weight, unknown, count)
-        bic = float(deviances[inside].sum()) + spent * math.log(values)
-        dof = max(values - float(joint.parameters()[inside].sum()), 1.0)
-        own_dof = max(values - spent, 1.0)
-        chi_squared = float(common.chi_squared[inside].sum())
-        own_chi_squared = float(optimum.chi_squared[inside].sum())
-        with_common = joint.covariance(inside)
+        rank_of_sets += of_set.covariance(rows).identifiability.rank
+        values_of_set = float(values[rows].sum())
+        own_spent = float(of_set.parameters()[rows].sum())
+        own_deviance = float(_deviances(optimum, weight, unknown, values)[rows].sum())
+        chi_squared = float(common_optimum.chi_squared[rows].sum())
+        dof = max(values_of_set - float(spent_by_row[rows].sum()), 1.0)
+        own_chi_squared = float(optimum.chi_squared[rows].sum())
+        own_dof = max(values_of_set - own_spent, 1.0)
+        with_common = common.covariance(rows).identifiability
         sets.append(
             OnSet(
                 chi_squared=chi_squared,
@@ -256,72 +258,67 @@ def _fields_of(fits: _FitsAlone, noise: Noise) -> dict[str, Any]:
                 own_dof=own_dof,
                 follows=_follows(chi_squared, dof),
                 own_follows=_follows(own_chi_squared, own_dof),
-                rank=with_common.identifiability.rank,
-                determined=tuple(with_common.identifiability.weights_of_determined()),
-                largest=_largest(law, inside, common, noise),
-                own_delta_bic=bic,
+                rank=with_common.rank,
+                determined=tuple(with_common.weights_of_determined()),
+                largest=_largest(law, rows, common_optimum, noise),
+                own_delta_bic=own_deviance + own_spent * math.log(values_of_set),
             )
         )
+    rank_of_all = covariance.identifiability.rank
     rise = sum(on_set.chi_squared - on_set.own_chi_squared for on_set in sets)
-    more = ranks - of_all.identifiability.rank
-    p_together = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
+    more_parameters = rank_of_sets - rank_of_all
+    p_together = None
+    if more_parameters > 0:
+        p_together = float(chdtrc(more_parameters, max(rise, 0.0)))
     agree = p_together is None or p_together >= _AGREE
-    rank = float(of_all.identifiability.rank + joint.marginal.rank.sum())
-    deviance = float(_deviances(common, weight, unknown, count).sum())
-    is_finite = bool(np.isfinite(common.residual).all())
-    converged = bool(of_all.distance < CONVERGED) and is_finite
-    fields = about(law.law, law.model.load)
-    fields |= described(*joint.estimates(of_all, departures=departures))
-    return fields | {
-        "converged": converged,
-        "status": "converged" if converged else "not converged",
-        "n_parameters": rank,
-        "sets": tuple(sets),
-        "p_together": p_together,
-        "follows": agree and all(on_set.follows for on_set in sets),
-        "bic": deviance + rank * math.log(count.sum()),
-    }
-
-
-def _no_worse_than(
-    common: Solution,
-    law: LawOnSets,
-    inside: Booleans,
-    optimum: Solution,
-    weight: Floats,
-) -> Solution:
-    """The optimum of a data set alone; where the common one is better on it, the better
-    one of those reached from both."""
-    if common.chi_squared[inside].sum() >= optimum.chi_squared[inside].sum():
-        return optimum
-    return best([optimum, law.optimum(inside, common.values, weight)])
+    parameters = float(rank_of_all + common.marginal.rank.sum())
+    deviance = float(_deviances(common_optimum, weight, unknown, values).sum())
+    is_finite = bool(np.isfinite(common_optimum.residual).all())
+    converged = bool(covariance.distance < CONVERGED) and is_finite
+    candidate = with_coefficients(
+        unfitted(law.law, law.model.load),
+        *common.estimates(covariance, departures=departures),
+    )
+    return replace(
+        candidate,
+        converged=converged,
+        status="converged" if converged else "not converged",
+        n_parameters=parameters,
+        sets=tuple(sets),
+        p_together=p_together,
+        follows=agree and all(on_set.follows for on_set in sets),
+        bic=deviance + parameters * math.log(values.sum()),
+    )
 
 
 def _follows(chi_squared: float, dof: float) -> bool:
-    """Whether a law follows data: whether chi squared is about its expectation, or not
-    larger than by chance."""
+    """Whether chi squared is about its expectation, or not larger than by chance."""
     return bool(chi_squared <= max(FOLLOWS * dof, float(chdtri(dof, _CHANCE))))
 
 
 def _largest(
-    law: LawOnSets, inside: Booleans, optimum: Solution, noise: Noise
+    law: LawOnSets, rows: Booleans, optimum: Solution, noise: Noise
 ) -> tuple[tuple[str, float], ...]:
     """The largest residuals of a data set, model - data over sigma, by name."""
     residual = optimum.residual / np.sqrt(noise.share)[..., None]
-    residual = residual * inside[:, None, None]
+    residual = residual * rows[:, None, None]
     order = np.argsort(-np.abs(residual), axis=None)[:_LARGEST]
-    places = zip(*np.unravel_index(order, residual.shape), strict=True)
-    return tuple((law.called(*place), float(residual[place])) for place in places)
+    largest = []
+    for index in order:
+        row, channel, column = np.unravel_index(index, residual.shape)
+        name = law.called(row, channel, column)
+        largest.append((name, float(residual[row, channel, column])))
+    return tuple(largest)
 
 
 def _described(
     law: LawOnSets, number: int, noise: Noise, law_of_noise: str
 ) -> SetOfData:
     """What a data set is, and its noise."""
-    inside = law.of_set(number)
-    count = law.counts()
     data_set = law.sets[number]
-    estimated = law.unknown & inside[:, None] & (count > 0)
+    rows = law.of_set(number)
+    values = law.counts()
+    estimated = law.unknown & rows[:, None] & (values > 0)
     names = [*ROWS_OF_DATA[:-1], "mu"]
     sigma = {
         names[channel]: float(noise.sigma[row, channel])
@@ -331,8 +328,8 @@ def _described(
         name=data_set.name,
         kind=data_set.kind,
         throws=len(data_set.throws),
-        values=int(count[inside].sum()),
-        effective=float((count * noise.share)[inside].sum()),
+        values=int(values[rows].sum()),
+        effective=float((values * noise.share)[rows].sum()),
         sigma=sigma,
         noise_of=law_of_noise,
     )

@@ -3,8 +3,6 @@ as CSV and in LaTeX."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.text import Text
 
 from curlfit.comparison.candidate_columns import (
@@ -32,24 +30,33 @@ from curlfit.wording import compact, join_words
 _FIRST = 3  # laws named in a line
 
 
-def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
-    """Of a document: which law ranks first, and by how much; the `first` conclusion.
-    `more` says how many laws are not named."""
-    ranked = [
-        candidate for candidate in comparison.candidates if candidate.rank is not None
-    ]
+def finding(comparison: Comparison) -> str:
+    """Which law ranks first."""
+    ranked = _ranked(comparison)
     if not ranked:
-        return {"finding": "no law is ranked", "lines": ["", first]}
+        return "no law is ranked"
     unsure = ", not reliably" if comparison.effective else ""
+    return f"{ranked[0].label} ranks first{unsure}"
+
+
+def order_by_bic(comparison: Comparison, more: str) -> str:
+    """The first laws with their differences of BIC, and `more`, which says how many are
+    not named; empty if no law is ranked."""
+    ranked = _ranked(comparison)
+    if not ranked:
+        return ""
     order = ", ".join(
         f"{candidate.label} ({DELTA_BIC.cell(candidate)})"
         for candidate in ranked[:_FIRST]
     )
     rest = more.format(len(ranked) - _FIRST) if len(ranked) > _FIRST else ""
-    return {
-        "finding": f"{ranked[0].label} ranks first{unsure}",
-        "lines": [f"dBIC: {order}{rest}", first],
-    }
+    return f"dBIC: {order}{rest}"
+
+
+def _ranked(comparison: Comparison) -> list[Candidate]:
+    return [
+        candidate for candidate in comparison.candidates if candidate.rank is not None
+    ]
 
 
 def coefficients_table(comparison: Comparison) -> Table[Candidate]:

@@ -80,25 +80,27 @@ def expected_departures(
     plans : the throws of each, repeated for repeated throws.
     """
     exact = assumed.by_load[assumed.load]
-    planned = _plans(exact, plans)
-    departing = []
-    followed = []
-    for number, (plan, rises) in enumerate(zip(planned, _rises(planned), strict=True)):
-        indices = plan.held(rises)
-        if indices:
-            departing.append(number)
-            followed.append(plan.followed(indices))
-    plans_followed = [planned[number] for number in departing]
-    ridges = follow(followed, lambda holds: _refitted(plans_followed, holds))
     coefficients = [
         coefficient
         for coefficient in exact.law.coefficients()
         if coefficient.name in exact.names
     ]
     usual = np.array([default_guess(coefficient) for coefficient in coefficients])
+    problems = _plans(exact, plans)
+    ridge_numbers = []
+    ridge_plans = []
+    ridge_starts = []
+    for number, (plan, rises) in enumerate(
+        zip(problems, _rises(problems), strict=True)
+    ):
+        held = plan.held(rises)
+        if held:
+            ridge_numbers.append(number)
+            ridge_plans.append(plan)
+            ridge_starts.append(plan.followed(held))
+    ridges = follow(ridge_starts, lambda holds: _refitted(ridge_plans, holds))
     departures = [NO_DEPARTURES] * len(plans)
-    for number, ridge in zip(departing, ridges, strict=True):
-        plan = planned[number]
+    for number, plan, ridge in zip(ridge_numbers, ridge_plans, ridges, strict=True):
         factor = combined(exact.factors(plans[number]))
         covariance = Covariance.of(exact.information(factor))
         of_coefficients = plan.ridge_of_coefficients(ridge)
@@ -290,7 +292,7 @@ class _Plan:
         free = self.assumed.free.tolist()
         return Ridge(
             self._of_coefficients(ridge.optimum),
-            tuple(map(self._of_coefficients, ridge.points)),
+            tuple(self._of_coefficients(point) for point in ridge.points),
             ridge.rises,
             {
                 free.index(index): interval
@@ -372,11 +374,14 @@ def _rises(plans: Sequence[_Plan]) -> list[list[float]]:
     values = np.concatenate(points)
     residuals = whitened_residuals_of_many(model, values, problems, FEW)
     of_throws = (np.nan_to_num(residuals, nan=np.inf) ** 2).sum((1, 2))
-    rises = iter(of_throws.tolist())
-    return [
-        [sum(itertools.islice(rises, len(plan.jacobian))) for _ in plan.probes]
-        for plan in plans
-    ]
+    chi_squared = iter(of_throws.tolist())
+    rises_by_plan = []
+    for plan in plans:
+        rises = []
+        for _ in plan.probes:
+            rises.append(sum(next(chi_squared) for _ in plan.jacobian))
+        rises_by_plan.append(rises)
+    return rises_by_plan
 
 
 def _refitted(plans: Sequence[_Plan], holds: Sequence[Hold]) -> list[Point]:
@@ -388,24 +393,20 @@ def _refitted(plans: Sequence[_Plan], holds: Sequence[Hold]) -> list[Point]:
     solutions: dict[int, Solution] = {}
     if single:
         # typical sizes are the same for all, and have no axis of problems
-        typical = tasks[single[0]].typical
         stack = jax.tree.map(
             lambda *leaves: np.concatenate(leaves),
             *[tasks[number]._replace(typical=np.zeros(0)) for number in single],
         )
-        stack = stack._replace(typical=typical)
+        stack = stack._replace(typical=tasks[single[0]].typical)
         side_by_side = minimize_many(model, stack, FEW, _STEPS, ALONG_RIDGE)
         for number, solution in zip(single, unstacked(side_by_side), strict=True):
             solutions[number] = stacked([solution])
+    points = []
     for number, hold in enumerate(holds):
-        if number not in solutions:
+        plan = plans[hold.fit]
+        if not plan.is_single:
             solutions[number] = minimize_jointly(
-                model,
-                tasks[number],
-                plans[hold.fit].common,
-                how=JOINT._replace(most=_STEPS),
+                model, tasks[number], plan.common, how=JOINT._replace(most=_STEPS)
             )
-    return [
-        plans[hold.fit].point(solutions[number], hold.parameter)
-        for number, hold in enumerate(holds)
-    ]
+        points.append(plan.point(solutions[number], hold.parameter))
+    return points

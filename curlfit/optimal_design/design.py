@@ -16,16 +16,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
 from curlfit.errors import InputError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
-from curlfit.friction import LOADS, Law, Load, check_load
+from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import widths_of
@@ -76,8 +75,8 @@ SCENARIOS = {
 """Sense of spin and heading (rad) of equal shares of the throws."""
 _MAX_CANDIDATES = 500
 _MAX_THROWS = 1000
-# factors on the noise, for the curves
-_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+# abscissas of the curves
+_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # on the noise
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
 _POSITION = {"x", "y", "speed"}
@@ -190,13 +189,12 @@ def _designed(
     records = assumed.records(planned)
     factors = assumed.factors(planned)
     candidates = CandidateSet.from_factors(factors)
-    together = combined(factors)
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
-    identifiability = _identifiability(assumed, together)
+    factor_of_all = combined(factors)
     if pair is None:
         pair = _undetermined_pair(assumed, planned)
-    difference = {} if pair is None else _difference(assumed, pair, together)
+    difference = {} if pair is None else _difference(assumed, pair, factor_of_all)
     selections = _selections(assumed, candidates, difference, throws)
     plans = [[planned[index] for index in indices] for indices in selections.values()]
     singles = [[throw] for throw in planned]
@@ -207,45 +205,47 @@ def _designed(
     for (criterion, indices), departures_of_plan in zip(
         selections.items(), departures_of_plans, strict=True
     ):
-        factor = candidates.together(indices)
         best[criterion] = _expected(
-            assumed, indices, factor, departures_of_plan, difference
+            assumed,
+            indices,
+            candidates.together(indices),
+            departures_of_plan,
+            difference,
         )
+    identifiability = Identifiability.of(assumed.information(factor_of_all))
     quantities = _quantities(assumed, identifiability, best.values()) | difference
+    throws_alone = []
+    for throw, record, factor, departures_of_throw in zip(
+        planned, records, factors, departures_of_throws, strict=True
+    ):
+        throw_alone = Candidate(
+            v0=throw.v0,
+            omega0=throw.omega0,
+            rate=throw.rate,
+            rows=record.rows,
+            last=record.last,
+            rest=record.rest.time,
+            distance=record.rest.distance,
+            stderr=errors_along(assumed, factor, quantities, departures_of_throw),
+        )
+        throws_alone.append(throw_alone)
     separation = None
     if pair is not None:
         separation = _separation(assumed, pair, planned, throws, best)
-    coefficients = {coefficient.name: coefficient for coefficient in law.coefficients()}
+    coefficients = law.coefficients()
+    names = [coefficient.name for coefficient in coefficients]
     return Design(
         law=law.name,
         load=assumed.load,
         stone=planned[0].stone,
-        coefficients=dict(zip(coefficients, assumed.values.tolist(), strict=True)),
-        symbols={
-            name: coefficient.symbol for name, coefficient in coefficients.items()
-        },
-        units={name: coefficient.unit for name, coefficient in coefficients.items()},
-        typical={
-            name: coefficient.typical for name, coefficient in coefficients.items()
-        },
+        coefficients=dict(zip(names, assumed.values.tolist(), strict=True)),
+        symbols={coefficient.name: coefficient.symbol for coefficient in coefficients},
+        units={coefficient.name: coefficient.unit for coefficient in coefficients},
+        typical={coefficient.name: coefficient.typical for coefficient in coefficients},
         sigma=dict(assumed.sigma),
         until=assumed.until,
         throws=throws,
-        candidates=tuple(
-            Candidate(
-                throw.v0,
-                throw.omega0,
-                throw.rate,
-                record.rows,
-                record.last,
-                record.rest.time,
-                record.rest.distance,
-                errors_along(assumed, factor, quantities, departures_of_throw),
-            )
-            for throw, record, factor, departures_of_throw in zip(
-                planned, records, factors, departures_of_throws, strict=True
-            )
-        ),
+        candidates=tuple(throws_alone),
         quantities=quantities,
         rank=candidates.rank,
         free=len(assumed.free),
@@ -254,13 +254,8 @@ def _designed(
         separation=separation,
         notes=_notes(assumed, planned, separation),
         discrepancy=assumed.discrepancy,
-        scenarios=scenarios(assumed, plans[0], quantities),
+        scenarios=_scenarios(assumed, plans[0], quantities),
     )
-
-
-def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
-    """What an R factor of information determines."""
-    return Identifiability.of(assumed.information(factor))
 
 
 def _quantities(
@@ -326,22 +321,17 @@ def _separation(
 ) -> Separation:
     """The throws with the least standard error of a difference, under each load."""
     ways = []
-    for load in LOADS:
+    for load in Load:
+        scenario = LoadScenario(load, None, None)
         if load != assumed.load:
-            under_load = replace(assumed, load=check_load(load))
+            under_load = replace(assumed, load=load)
             scenario = _least_error(under_load, pair, planned, throws)
         elif "C" in best:
             stderr = best["C"].stderr[difference_of(pair)]
-            scenario = _scenario(load, best["C"].throws, stderr)
-        else:
-            scenario = LoadScenario(load, None, None)
+            if stderr is not None:
+                scenario = LoadScenario(load, best["C"].throws, stderr)
         ways.append(scenario)
     return Separation(pair, tuple(ways))
-
-
-def _scenario(load: str, throws: tuple[int, ...], stderr: float | None) -> LoadScenario:
-    """Throws under a load, without them where they do not determine the difference."""
-    return LoadScenario(load, None if stderr is None else throws, stderr)
 
 
 def _least_error(
@@ -363,7 +353,10 @@ def _least_error(
     if indices is None:
         return undetermined
     errors = assumed.errors(candidates.together(indices), difference)
-    return _scenario(assumed.load, indices, errors[difference_of(pair)])
+    stderr = errors[difference_of(pair)]
+    if stderr is None:
+        return undetermined
+    return LoadScenario(assumed.load, indices, stderr)
 
 
 def _expected(
@@ -374,7 +367,7 @@ def _expected(
     difference: Mapping[str, Mapping[str, float]],
 ) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
-    identifiability = _identifiability(assumed, factor)
+    identifiability = Identifiability.of(assumed.information(factor))
     combinations = tuple(departures.kept(identifiability.combinations))
     stderr: dict[str, float | None] = {}
     verdicts: dict[str, Verdict] = {}
@@ -391,21 +384,20 @@ def _expected(
         stderr[name] = error
         verdicts[name] = verdict
     for name, error in errors_along(assumed, factor, difference, departures).items():
-        typical = min(
-            size
-            for coefficient, size in zip(assumed.names, assumed.typical, strict=True)
-            if coefficient in difference[name]
-        )
+        typical_sizes = dict(zip(assumed.names, assumed.typical, strict=True))
+        smallest = min(typical_sizes[coefficient] for coefficient in difference[name])
         stderr[name] = error
-        verdicts[name] = _verdict(error, typical)
+        verdicts[name] = _verdict(error, smallest)
+    for combination in combinations:
+        stderr[combination.expression] = combination.stderr
     return ExpectedErrors(
-        indices,
-        stderr | {sum_.expression: sum_.stderr for sum_ in combinations},
-        verdicts,
-        combinations,
-        identifiability.rank,
-        tuple(identifiability.singular_values.tolist()),
-        identifiability.null_directions,
+        throws=indices,
+        stderr=stderr,
+        verdicts=verdicts,
+        combinations=combinations,
+        rank=identifiability.rank,
+        singular_values=tuple(identifiability.singular_values.tolist()),
+        null_directions=identifiability.null_directions,
     )
 
 
@@ -455,9 +447,12 @@ def planned_throws(
         raise InputError(
             f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}"
         )
-    ends = {} if until is None else {"until": until}
-    noise = {f"sigma of {name}": value for name, value in sigma.items()}
-    require_positive(v0=v0, rate=rate, **ends, **noise)
+    _require_positive("v0", v0)
+    _require_positive("rate", rate)
+    if until is not None:
+        _require_positive("until", until)
+    for name, size in sigma.items():
+        _require_positive(f"sigma of {name}", size)
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
     count = len(v0) * len(omega0)
@@ -485,20 +480,19 @@ def planned_throws(
         )
     planned = [
         PlannedThrow(float(speed), spin, float(rate), stone or Stone())
-        for speed, spin in product(v0, spins)
+        for speed, spin in itertools.product(v0, spins)
     ]
     checked_load = check_load(load or "uniform")
     return Assumptions(type(exact), checked_load, values, measured, until), planned
 
 
-def require_positive(**quantities: float | Sequence[float]) -> None:
+def _require_positive(name: str, value: float | Sequence[float]) -> None:
     """Raise `InputError` for a number, or numbers, that are not positive."""
-    for name, value in quantities.items():
-        values = np.atleast_1d(np.array(value, float))
-        if not len(values) or not ((values > 0) & (values < math.inf)).all():
-            shown = ",".join(f"{number:g}" for number in values)
-            kind = "positive numbers" if np.ndim(value) else "a positive number"
-            raise InputError(f"{name} = {shown}: expected {kind}")
+    values = np.atleast_1d(np.array(value, float))
+    if not len(values) or not ((values > 0) & (values < math.inf)).all():
+        shown = ",".join(f"{number:g}" for number in values)
+        kind = "positive numbers" if np.ndim(value) else "a positive number"
+        raise InputError(f"{name} = {shown}: expected {kind}")
 
 
 def _undetermined_pair(
@@ -508,7 +502,8 @@ def _undetermined_pair(
     load, if any."""
     uniform = assumed.by_load[Load.UNIFORM]
     factor = combined(uniform.factors(planned))
-    for direction in _identifiability(uniform, factor).null_directions:
+    identifiability = Identifiability.of(uniform.information(factor))
+    for direction in identifiability.null_directions:
         if len(direction) == 2 and sum(direction.values()) == 0:
             first, second = direction
             return first, second
@@ -524,7 +519,7 @@ def _curves(
     """Standard errors of throws against noise of position, noise of angle and rate; and
     those of the best of the candidates against their number."""
     records = assumed.records(throws)
-    # R factors by the abscissa of each curve
+    # R factor of the information at each abscissa, by curve
     factors: dict[str, dict[float, Floats]] = {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         noisy = assumed.sigma.keys() & channels
@@ -543,13 +538,14 @@ def _curves(
         indices = select_design(candidates, d_criterion, count)
         if indices is not None:
             factors["throws"][float(count)] = candidates.together(indices)
-    curves: dict[str, dict[str, list[float | None]]] = {}
-    for name, factor_at in factors.items():
-        rows = [assumed.errors(factor, quantities) for factor in factor_at.values()]
-        curves[name] = {"at": [*factor_at]}
-        curves[name] |= {
-            quantity: [row[quantity] for row in rows] for quantity in quantities
-        }
+    curves = {}
+    for name, factor_by_abscissa in factors.items():
+        curve: dict[str, list[float | None]] = {"at": [*factor_by_abscissa]}
+        curve |= {quantity: [] for quantity in quantities}
+        for factor in factor_by_abscissa.values():
+            for quantity, error in assumed.errors(factor, quantities).items():
+                curve[quantity].append(error)
+        curves[name] = curve
     return curves
 
 
@@ -560,9 +556,11 @@ def _notes(
 ) -> tuple[Finding, ...]:
     """The load under which throws separate two coefficients, if those of this load do
     not, and what the errors assume of the law."""
-    notes: list[Finding] = []
-    if separation is not None:
-        notes += _of_other_load(assumed.load, planned, separation)
+    notes = []
+    if separation is not None and separation.scenario(assumed.load).throws is None:
+        for scenario in separation.ways:
+            if scenario.throws is not None:
+                notes.append(_other_load(planned, separation.pair, scenario))
     if assumed.discrepancy:
         percent = 100 * assumed.discrepancy
         notes.append(Finding.note("design-with-discrepancy", percent=percent))
@@ -572,31 +570,26 @@ def _notes(
     return tuple(notes)
 
 
-def _of_other_load(
-    load: str, planned: Sequence[PlannedThrow], separation: Separation
-) -> Iterator[Finding]:
-    """Throws that separate two coefficients under another load than the assumed one,
-    if none do under that."""
-    if separation.scenario(load).throws is not None:
-        return
-    for scenario in separation.ways:
-        if scenario.throws is None:
-            continue
-        throws = [
-            {"count": count, "v0": planned[index].v0, "omega0": planned[index].omega0}
-            for index, count in Counter(scenario.throws).items()
-        ]
-        yield Finding.note(
-            "other-load-separates",
-            Remedy("assume-load", Option("load", scenario.load)),
-            load=scenario.load,
-            throws=throws,
-            pair=[*separation.pair],
-            stderr=scenario.stderr,
-        )
+def _other_load(
+    planned: Sequence[PlannedThrow], pair: tuple[str, str], scenario: LoadScenario
+) -> Finding:
+    """A note on the throws that separate two coefficients under another load than the
+    assumed one."""
+    throws = [
+        {"count": count, "v0": planned[index].v0, "omega0": planned[index].omega0}
+        for index, count in Counter(scenario.throws).items()
+    ]
+    return Finding.note(
+        "other-load-separates",
+        Remedy("assume-load", Option("load", scenario.load)),
+        load=scenario.load,
+        throws=throws,
+        pair=[*pair],
+        stderr=scenario.stderr,
+    )
 
 
-def scenarios(
+def _scenarios(
     assumed: Assumptions,
     throws: Sequence[PlannedThrow],
     quantities: Mapping[str, Mapping[str, float]],
@@ -604,48 +597,63 @@ def scenarios(
     """Expected errors of throws as planned, and with equal shares of them
     thrown otherwise.
 
-    `quantities` are coefficients and combinations as weights.
+    Parameters
+    ----------
+    quantities : coefficients and combinations as weights.
     """
-    typical = assumed.typical
-    free = len(assumed.free)
-    weights_by_quantity = {
-        name: assumed.weights(weights) for name, weights in quantities.items()
-    }
-    count_by_throw = Counter(throws)
-    counts = np.array([*count_by_throw.values()])
+    number_by_throw = Counter(throws)
     widths = widths_of(assumed.model)
-    ways = SCENARIOS["both spins and directions"]
-    varied = [
+    all_ways = SCENARIOS["both spins and directions"]
+    thrown_otherwise = [
         throw._replace(omega0=sense * throw.omega0, heading=heading)
-        for throw in count_by_throw
-        for sense, heading in ways
+        for throw in number_by_throw
+        for sense, heading in all_ways
     ]
     # the conditions come after the parameters
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
-    records = record_information(assumed, varied, widths)
-    factors = [assumed.marginal(record, columns) for record in records]
-    by_throw_and_way = np.reshape(factors, (len(counts), len(ways), *factors[0].shape))
+    records = record_information(assumed, thrown_otherwise, widths)
+    factors = np.array([assumed.marginal(record, columns) for record in records])
+    factors = factors.reshape(len(number_by_throw), len(all_ways), *factors.shape[1:])
+    numbers = np.array([*number_by_throw.values()])
     expected = []
-    for name, ways_of_scenario in SCENARIOS.items():
-        indices = [ways.index(way) for way in ways_of_scenario]
-        # a share of the information, of which these are roots
-        share = np.sqrt(counts / len(indices))
-        weighted = share[:, None, None, None] * by_throw_and_way[:, indices]
-        rows = r_factor(weighted.reshape(-1, len(columns)))
-        factor = rows[:, :free]
-        by_condition = factor.T @ rows[:, free:] / typical[:, None]
-        information = assumed.information(factor)
-        shifts_by_condition = {
-            condition: information.response(gradient)
-            for condition, gradient in zip(widths, by_condition.T, strict=True)
-        }
-        stderr = {}
-        shifts_by_quantity = {}
-        for quantity, weights in weights_by_quantity.items():
-            stderr[quantity] = standard_error(factor, weights)
-            shifts_by_quantity[quantity] = {
-                condition: float(weights @ (shift / typical))
-                for condition, shift in shifts_by_condition.items()
-            }
-        expected.append(Scenario(name, stderr, shifts_by_quantity))
+    for name, ways in SCENARIOS.items():
+        indices = [all_ways.index(way) for way in ways]
+        # the factor is a root of the information, of which each way has a share
+        shares = np.sqrt(numbers / len(indices))[:, None, None, None]
+        rows = (shares * factors[:, indices]).reshape(-1, len(columns))
+        expected.append(_scenario(assumed, name, r_factor(rows), [*widths], quantities))
     return tuple(expected)
+
+
+def _scenario(
+    assumed: Assumptions,
+    name: str,
+    factor: Floats,
+    conditions: Sequence[str],
+    quantities: Mapping[str, Mapping[str, float]],
+) -> Scenario:
+    """Expected errors of throws, and their shifts by conditions.
+
+    Parameters
+    ----------
+    factor : R factor of the information on the free coefficients over their typical
+        sizes and, in the columns after these, on the conditions over their widths.
+    """
+    free = len(assumed.free)
+    of_coefficients = factor[:, :free]
+    information = assumed.information(of_coefficients)
+    gradients = of_coefficients.T @ factor[:, free:] / assumed.typical[:, None]
+    scaled_shifts = {
+        condition: information.response(gradient) / assumed.typical
+        for condition, gradient in zip(conditions, gradients.T, strict=True)
+    }
+    stderr = {}
+    shifts = {}
+    for quantity, combination in quantities.items():
+        weights = assumed.weights(combination)
+        stderr[quantity] = standard_error(of_coefficients, weights)
+        shifts[quantity] = {
+            condition: float(weights @ shift)
+            for condition, shift in scaled_shifts.items()
+        }
+    return Scenario(name, stderr, shifts)

@@ -40,10 +40,12 @@ from curlfit.optimal_design.rivals import Rival, Truth
 from curlfit.optimal_design.selection import exchanged
 from curlfit.stone import Stone
 
-_ORDINARY_SPEED = 2.0  # m/s, of the draw in which all laws agree
-_ORDINARY_SPIN = 1.0  # rad/s, of the same
+# the draw in which all laws agree
+_ORDINARY_SPEED = 2.0  # m/s
+_ORDINARY_SPIN = 1.0  # rad/s
 _MOST = 64  # throws
 _ONE_BY_ONE = 8  # throws that are chosen one by one; more are these repeated
+_NO_THROW = "between: no such throw stays on the sheet under each of these laws"
 
 
 @dataclass(frozen=True)
@@ -155,10 +157,20 @@ def discriminate(
     if len({*names}) < len(names):
         raise InputError(f"between: {', '.join(names)}; expected different laws")
     contests = _contests(assumed, rival_laws, planned, systematics)
-    first = contests[0].truth
     choice = _chosen(contests, throws)
-    possible = {throw.planned for throw in first.throws}
-    left_out = [throw for throw in planned if throw not in possible]
+    throws_of_first = contests[0].truth.throws
+    candidates = []
+    for index, throw in enumerate(throws_of_first):
+        candidate = PossibleThrow(
+            v0=throw.planned.v0,
+            omega0=throw.planned.omega0,
+            rest=throw.rest.time,
+            distance=throw.rest.distance,
+            log_odds=tuple(contest.promise([index]).log_odds for contest in contests),
+        )
+        candidates.append(candidate)
+    possible = {throw.planned for throw in throws_of_first}
+    left_out = [(plan.v0, abs(plan.omega0)) for plan in planned if plan not in possible]
     return Discrimination(
         laws=_coefficients_by_law(contests),
         load=assumed.load,
@@ -166,32 +178,23 @@ def discriminate(
         sigma=dict(assumed.sigma),
         rate=planned[0].rate,
         until=assumed.until,
-        candidates=tuple(
-            PossibleThrow(
-                throw.planned.v0,
-                throw.planned.omega0,
-                throw.rest.time,
-                throw.rest.distance,
-                tuple(contest.promise([index]).log_odds for contest in contests),
-            )
-            for index, throw in enumerate(first.throws)
-        ),
+        candidates=tuple(candidates),
         throws=tuple(choice.throws),
         pairs=tuple(choice.pairs),
         asked=throws,
-        left_out=tuple(
-            dict.fromkeys((throw.v0, abs(throw.omega0)) for throw in left_out)
-        ),
+        left_out=tuple(dict.fromkeys(left_out)),
     )
 
 
 def _coefficients_by_law(contests: Sequence[Contest]) -> dict[str, dict[str, float]]:
     """Assumed coefficients of each law."""
     by_law: dict[str, dict[str, float]] = {}
-    for truth in (contest.truth for contest in contests):
-        names = truth.assumed.parameters.names
-        values = truth.assumed.values.tolist()
-        by_law[truth.law] = dict(zip(names, values, strict=False))
+    for contest in contests:
+        assumed = contest.truth.assumed
+        names = [coefficient.name for coefficient in assumed.law.coefficients()]
+        by_law[assumed.law.name] = dict(
+            zip(names, assumed.values.tolist(), strict=True)
+        )
     return by_law
 
 
@@ -214,60 +217,58 @@ def _contests(
     ordinary = planned[0]._replace(v0=_ORDINARY_SPEED, omega0=_ORDINARY_SPIN)
     draw = Truth.of(assumed, [ordinary])
     truths = [Truth.of(assumed, planned)]
-    rivals = [
-        Rival(replace(assumed, law=law), ordinary.stone, systematics)
-        for law in (assumed.law, *rival_laws)
-    ]
-    for rival in rivals[1:]:
+    rivals = [Rival(assumed, ordinary.stone, systematics)]
+    for law in rival_laws:
+        rival = Rival(replace(assumed, law=law), ordinary.stone, systematics)
         fit = rival.fit_each(draw.throws)
-        law = rival.model.law
         if np.isnan(fit.rows).any():
             raise InputError(
                 f"between: {law.name} cannot be fitted to a draw of {draw.law}"
             )
         of_rival = replace(assumed, law=law, values=fit.coefficients[0])
         truths.append(Truth.of(of_rival, planned))
-    no_throw = InputError(
-        "between: no such throw stays on the sheet under each of these laws"
-    )
+        rivals.append(rival)
     plausible = [
         index
         for index in range(len(planned))
         if all(truth.throws[index].is_plausible for truth in truths)
     ]
     if not plausible:
-        raise no_throw
+        raise InputError(_NO_THROW)
     # by the numbers of the true law and of its rival
-    rows_of_pair: dict[tuple[int, int], Floats] = {}
+    rows_by_pair: dict[tuple[int, int], Floats] = {}
     for number, rival in enumerate(rivals):
-        opponents = [true for true in range(len(truths)) if true != number]
+        opponents = [other for other in range(len(truths)) if other != number]
         # all fits of a law side by side, in one batch
         throws = [
-            truths[true].throws[index] for true in opponents for index in plausible
+            truths[opponent].throws[index]
+            for opponent in opponents
+            for index in plausible
         ]
-        parts = np.split(rival.fit_each(throws).rows, len(opponents))
-        rows_of_pair |= {
-            (true, number): rows for true, rows in zip(opponents, parts, strict=True)
-        }
+        rows = np.split(rival.fit_each(throws).rows, len(opponents))
+        for opponent, rows_of_opponent in zip(opponents, rows, strict=True):
+            rows_by_pair[opponent, number] = rows_of_opponent
     fitted_by_all = np.all(
-        [np.isfinite(rows).all((1, 2)) for rows in rows_of_pair.values()], 0
+        [np.isfinite(rows).all((1, 2)) for rows in rows_by_pair.values()], 0
     )
     if not fitted_by_all.any():
-        raise no_throw
+        raise InputError(_NO_THROW)
+    possible = list(itertools.compress(plausible, fitted_by_all))
+    rows_by_pair = {
+        pair: rows[fitted_by_all] for pair, rows in sorted(rows_by_pair.items())
+    }
     ranks = []
     for number, rival in enumerate(rivals):
-        # from the throws of the last of its opponents
-        last = max(true for true in range(len(truths)) if true != number)
-        ranks.append(rival.rank(rows_of_pair[last, number][fitted_by_all]))
-    possible = list(itertools.compress(plausible, fitted_by_all))
+        last_opponent = max(truth for truth, other in rows_by_pair if other == number)
+        ranks.append(rival.rank(rows_by_pair[last_opponent, number]))
     return [
         Contest(
-            truths[true].at(possible),
-            rivals[number],
-            rows_of_pair[true, number][fitted_by_all],
-            Ranks(ranks[true], ranks[number]),
+            truths[truth].at(possible),
+            rivals[rival],
+            rows,
+            Ranks(ranks[truth], ranks[rival]),
         )
-        for true, number in sorted(rows_of_pair)
+        for (truth, rival), rows in rows_by_pair.items()
     ]
 
 
@@ -307,19 +308,19 @@ class _Choice(NamedTuple):
 def _chosen(contests: Sequence[Contest], count: int | None) -> _Choice:
     """So many throws; if no number is given, the least that decides, or `_MOST`."""
 
-    def verified(throws: list[int], times: int) -> _Choice:
+    def verified(throws: Sequence[int], times: int = 1) -> _Choice:
         pairs = [contest.verified(throws, times) for contest in contests]
-        return _Choice(sorted(throws * times), pairs)
+        return _Choice(sorted([*throws] * times), pairs)
 
     throws: list[int] = []
     if count is not None:
         for _ in range(count):
             throws = _extended(contests, throws)
-        return verified(throws, 1)
+        return verified(throws)
     for _ in range(_ONE_BY_ONE):
         throws = _extended(contests, throws)
         if _margin(contests, throws) >= MARGIN:
-            choice = verified(throws, 1)
+            choice = verified(throws)
             if choice.decides:
                 return choice
     most_times = _MOST // len(throws)

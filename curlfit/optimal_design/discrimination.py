@@ -30,12 +30,12 @@ from curlfit.stone import Stone
 from curlfit.wording import join_words, lower
 
 ODDS = 100
-"""Odds to 1 at which a law is decided, and ..."""
+"""Odds to 1 at which a law is decided."""
 DECISIVE = math.log(ODDS)
 PROBABILITY = 0.9
-"""... the probability of these odds that is required, and ..."""
+"""Probability that is required that throws decide a law at these odds."""
 MARGIN = 1.2815515655446004
-"""... its quantile of the normal distribution."""
+"""Quantile of the normal distribution at `PROBABILITY`."""
 
 
 class Ranks(NamedTuple):

@@ -110,6 +110,11 @@ def _number(value: float) -> str:
     return f"{value:.2g}" if value >= 0.01 else f"{value:.1e}".replace("e-0", "e-")
 
 
+def _log_odds(value: float) -> str:
+    """Log odds, short enough for a cell."""
+    return f"{value:.0f}" if abs(value) >= 10 else f"{value:.1f}"
+
+
 def _map(design: Design) -> draw.Picture:
     """The standard error of each quantity from one throw, over speed and spin."""
     names = list(design.quantities)
@@ -123,10 +128,10 @@ def _map(design: Design) -> draw.Picture:
     starts = [(throw.v0, throw.omega0) for throw in design.candidates]
     framed = [starts[index] for index in next(iter(design.best.values())).throws]
     for axes, name in zip(panels, names, strict=False):
-        errors = [throw.stderr[name] for throw in design.candidates]
-        values = [math.nan if error is None else error for error in errors]
-        value_by_start = dict(zip(starts, values, strict=True))
-        _cells(axes, value_by_start, framed, _number, "not\ndetermined")
+        # NaN where a throw does not determine the quantity
+        errors = np.array([throw.stderr[name] for throw in design.candidates], float)
+        error_by_start = dict(zip(starts, errors.tolist(), strict=True))
+        _cells(axes, error_by_start, framed, _number, "not\ndetermined")
         axes.set_title(_quantity(design, name), loc="center")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
@@ -153,9 +158,7 @@ def discrimination_figure(found: Discrimination) -> Figure:
     framed = [(throw.v0, abs(throw.omega0)) for throw in chosen]
     height = 1.6 + 0.28 * len({spin for _, spin in values})
     figure, axes = draw.subplots(height, 1, 1, 0.72 * draw.WIDTH)
-    _cells(
-        axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}"
-    )
+    _cells(axes, values, framed, _log_odds)
     axes.set_ylabel("initial spin, either sense (rad/s)")
     axes.set_title(
         "log odds for the true law from one throw, hardest pair", loc="center"

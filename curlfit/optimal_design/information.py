@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -117,6 +117,9 @@ class Assumptions:
     sigma: Mapping[str, float]
     until: float | None = None
     discrepancy: float = 0.0
+    _computed: dict[PlannedThrow, RecordInformation] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -208,7 +211,8 @@ class Assumptions:
                 abs(weight) * widths[coefficient]
                 for coefficient, weight in quantities[name].items()
             )
-            within[name] = None if error is not None and error > width else error
+            is_within = error is not None and not error > width
+            within[name] = error if is_within else None
         return within
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
@@ -224,10 +228,6 @@ class Assumptions:
             # the object itself, which keeps the records that it has computed
             by_load[self.load] = self
         return by_load
-
-    @cached_property
-    def _computed(self) -> dict[PlannedThrow, RecordInformation]:
-        return {}
 
     def records(self, throws: Sequence[PlannedThrow]) -> list[RecordInformation]:
         """The information of each of several throws, computed once."""
@@ -328,7 +328,8 @@ def record_information(
     if assumed.discrepancy:
         responses = _responses(assumed, throws, clocks)
         shapes = responses[0].by_channel.shape[-1]
-    # Long records are cut into pieces, so that all columns of a batch are equally long.
+    # Long records are cut into pieces, so that the arrays of a batch are equally long;
+    # the stacked factors of the pieces have the factor of the record.
     pieces = [
         _Piece(index, clock[first : first + _ROWS])
         for index, clock in enumerate(clocks)
@@ -336,19 +337,19 @@ def record_information(
     ]
 
     def factors_of(indices: Indices) -> Floats:
+        """R factors of pieces by channel."""
         batch = [pieces[index] for index in indices]
         throws_of_batch = [throws[piece.throw] for piece in batch]
         values = vectors_of(assumed, throws_of_batch)
         times = [piece.times for piece in batch]
         problems = _problems(throws_of_batch, times, assumed.channels)
         _, slopes = linearize(model, values, problems)
-        jacobian = np.asarray(slopes) * assumed.parameters.typical
+        columns = [np.asarray(slopes) * assumed.parameters.typical]
         if widths:
             paths = predict_many(model, values, problems, FEW)
             changes = residual_changes(model, problems, values, paths, widths, FEW)
-            of_conditions = np.stack(list(changes.values()), -1)
-            jacobian = np.concatenate([jacobian, of_conditions], -1)
-        finite = np.isfinite(jacobian).all((1, 2, 3))
+            columns.append(np.stack(list(changes.values()), -1))
+        finite = np.isfinite(np.concatenate(columns, -1)).all((1, 2, 3))
         if not finite.all():
             raise _no_motion(assumed, throws_of_batch[int(np.argmin(finite))])
         if responses:
@@ -357,8 +358,8 @@ def record_information(
                 for piece, t in zip(batch, problems.times, strict=True)
             ]
             scale = assumed.discrepancy * problems.weight[..., None]
-            jacobian = np.concatenate([jacobian, scale * accelerated], -1)
-        return r_factor(jacobian)
+            columns.append(scale * accelerated)
+        return r_factor(np.concatenate(columns, -1))
 
     factors = in_batches(factors_of, (np.arange(len(pieces)),), FEW)
     throw_of_piece = np.array([piece.throw for piece in pieces])

@@ -38,8 +38,10 @@ _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
     "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
-# factor of reduction of a systematic error above which a scenario is recommended
 _WORTH = 1.2
+"""Factor by which a scenario that is recommended reduces a systematic error."""
+_NEARLY = 0.8
+"""Share of the largest such factor that a simpler scenario has to reach."""
 _MAX_LISTED = 24  # candidates; the others are in design.json
 _UNITS = {"x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
@@ -122,8 +124,10 @@ def noise_text(sigma: dict[str, float]) -> str:
 
 def with_unit(value: float, channel: str) -> str:
     """A value in a suitable unit, as in "12 um"."""
-    index = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
-    return f"{two_digits(value * 1000**index)} {('', 'm', 'u')[index]}{_UNITS[channel]}"
+    # the power of a thousandth in which the value is 1 or more, if milli or micro is
+    power = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
+    prefix = ("", "m", "u")[power]
+    return f"{two_digits(value * 1000**power)} {prefix}{_UNITS[channel]}"
 
 
 def throws_text(candidates: Sequence[Any], indices: Iterable[int]) -> str:
@@ -187,7 +191,7 @@ def _recommended(scenarios: Sequence[Scenario]) -> str:
         for scenario in scenarios[1:]
     }
     best = next(
-        name for name, gain in gains.items() if gain > 0.8 * max(gains.values())
+        name for name, gain in gains.items() if gain > _NEARLY * max(gains.values())
     )
     if gains[best] <= _WORTH:
         return "Throwing with both spins or in both directions cancels little."
@@ -233,12 +237,9 @@ def _best(design: Design) -> Table[str]:
 
 def _best_column(heading: str, errors: ExpectedErrors) -> Column[str]:
     """The column of the standard errors of a selection of throws, by quantity."""
-
-    def stderr(name: str) -> float:
-        error = errors.stderr.get(name)
-        return math.nan if error is None else error
-
-    return Column(heading, stderr, error_in_words, right=True)
+    return Column(
+        heading, words=lambda name: error_in_words(errors.stderr.get(name)), right=True
+    )
 
 
 def _criterion(design: Design, name: str) -> str:

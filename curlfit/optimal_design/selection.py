@@ -18,8 +18,9 @@ from curlfit.inference.information.directions import r_factor, visible
 from curlfit.numerics.arrays import Booleans, Floats
 
 _MAX_ROUNDS = 50
-# share of the information of all candidates in an undetermined direction
-_SINGULAR = 1e-12
+# shares of the information of all candidates
+_SINGULAR = 1e-12  # in an undetermined direction
+_SHARE_AT_FIRST = 1e-6  # added while few throws are chosen
 
 Criterion = Callable[[Floats], Floats]
 
@@ -70,21 +71,22 @@ def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
     """Sum of the squared standard errors of linear combinations (rows of weights by
     typical sizes): A for the coefficients themselves, C for one combination."""
     along = np.atleast_2d(weights) @ candidates.basis
-    return lambda information: _trace(information, along.T @ along)
+    squares = along.T @ along
+
+    def sum_of_squares(information: Floats) -> Floats:
+        """Trace of the inverse of the information times the squares of the weights;
+        infinite where there is no inverse."""
+        nonsingular = _nonsingular(information)
+        identity = np.eye(information.shape[-1])
+        safe = np.where(nonsingular[..., None, None], information, identity)
+        trace = np.trace(np.linalg.solve(safe, squares), axis1=-2, axis2=-1)
+        return np.where(nonsingular, trace, np.inf)
+
+    return sum_of_squares
 
 
 def _nonsingular(information: Floats) -> Booleans:
     return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
-
-
-def _trace(information: Floats, weights: Floats) -> Floats:
-    """Trace of the inverse of the information times weights; infinite where there is no
-    inverse."""
-    nonsingular = _nonsingular(information)
-    identity = np.eye(information.shape[-1])
-    safe = np.where(nonsingular[..., None, None], information, identity)
-    trace = np.trace(np.linalg.solve(safe, weights), axis1=-2, axis2=-1)
-    return np.where(nonsingular, trace, np.inf)
 
 
 def exchanged(throws: Sequence[int], best: Callable[[list[int]], int]) -> list[int]:
@@ -120,7 +122,7 @@ def select_design(
     chosen: list[int] = []
     for _ in range(throws):
         # A small share of the information of all keeps the criterion finite at first.
-        chosen.append(best(chosen, 1e-6))
+        chosen.append(best(chosen, _SHARE_AT_FIRST))
     chosen = exchanged(chosen, best)
     if np.isfinite(criterion(information[chosen].sum(0))):
         return tuple(chosen)

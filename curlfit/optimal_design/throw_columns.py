@@ -35,9 +35,9 @@ def stderr_column(quantity: str) -> ThrowColumn:
     )
 
 
-def error_in_words(stderr: float) -> str:
-    """A standard error; a dash for NaN."""
-    return "-" if math.isnan(stderr) else f"{stderr:.2g}"
+def error_in_words(stderr: float | None) -> str:
+    """A standard error; a dash for none or NaN."""
+    return "-" if stderr is None or math.isnan(stderr) else f"{stderr:.2g}"
 
 
 def log_odds_column(index: int, truth: str, rival: str) -> ThrowColumn:
