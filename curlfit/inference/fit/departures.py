@@ -60,7 +60,7 @@ the tangent is known: 0.008 of the sum for eq. 12 under consistent load, 0.03 an
 of false sums under `front-back+sideways`."""
 KNOWN_TO = {"omega0": 0.05, "v0": 0.01}
 """Standard error of a measured initial spin and speed, rad/s and m/s."""
-_KNOWN = 0.1
+_OTHERS_KNOWN_TO = 0.1
 """The same of any other parameter, over its typical size."""
 UNITS = {"omega0": "rad/s", "v0": "m/s"}
 _LOWER = 0.1
@@ -528,7 +528,9 @@ def _remedy(
         if not covariance.open[index]:
             continue
         name = covariance.names[index]
-        known_to = KNOWN_TO.get(name, _KNOWN * float(covariance.typical[index]))
+        known_to = KNOWN_TO.get(
+            name, _OTHERS_KNOWN_TO * float(covariance.typical[index])
+        )
         wanted = [
             coefficient
             for coefficient in coefficients

@@ -41,9 +41,10 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.plausibility import examine_fit
 from curlfit.throws.throw import CHANNELS
 
-_FEWEST = 3  # values of a channel, above which their correlation is given
-# typical sizes by which solutions that fit equally differ in a parameter
+_FEWEST = 3
+"""Values of a channel, above which their correlation is given."""
 _DIFFERENT = 0.1
+"""Typical sizes by which solutions that fit equally differ in a parameter."""
 
 
 def summarize(
@@ -242,7 +243,7 @@ def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult
     systematic errors, from the shifts of the open parameters by condition."""
     first_order = result.first_order
     products = products_of(first_order)
-    if not products and not shifts:
+    if not products:
         return result
     shifts_of_products = {}
     for product in products:
