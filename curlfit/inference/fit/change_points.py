@@ -90,6 +90,10 @@ class Change(NamedTuple):
             channel=self.channel,
         )
 
+    def added_to(self, result: FitResult) -> FitResult:
+        """The record of a fit with the warning of this change before others."""
+        return replace(result, warnings=(self.finding(), *result.warnings))
+
 
 class _Residuals(NamedTuple):
     """Weighted residuals of a fit, and how the parameters change them, without padded
@@ -220,9 +224,7 @@ def with_change(fit: LeastSquaresFit, result: FitResult) -> FitResult:
     if not (result.converged and may_have_changed(fit, result)):
         return result
     change = change_of(fit)
-    if change is None:
-        return result
-    return replace(result, warnings=(change.finding(), *result.warnings))
+    return result if change is None else change.added_to(result)
 
 
 def _of_friction(times: Floats, since: Floats) -> _Candidates:

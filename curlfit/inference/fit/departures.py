@@ -97,8 +97,9 @@ class Probe(NamedTuple):
     @property
     def misleads(self) -> bool:
         """Whether an error that leads to this point is wrong by a factor of two."""
-        ratio = self.rise / self.expected
-        return bool(self.statement) and not 1 / _MISLEADING < ratio < _MISLEADING
+        if not self.statement:
+            return False
+        return not 1 / _MISLEADING < self.rise / self.expected < _MISLEADING
 
 
 class KnownCondition(NamedTuple):
