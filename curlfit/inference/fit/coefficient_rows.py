@@ -58,32 +58,25 @@ def coefficient_rows_along_ridge(
     return _as_table(marginal.kept, names), _as_table(marginal.stretched, names)
 
 
-def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
-    """Standard error of a weighted sum of the coefficients of the law, as wide as
-    the ridge; None where the throw says nothing of it."""
-    typical = np.array(
-        [coefficient.typical for coefficient in fit.coefficients.values()]
-    )
-    rows = all_coefficient_rows(fit)[:, :-1]
-    return standard_error(rows * typical, weights * typical)
-
-
 def left_open(fit: FitResult) -> tuple[str, ...]:
     """Coefficients that the ridge leaves open: that differ along it, and of which
     the throw says too little, though it would with its initial state known. None
     where chi squared is a quadratic."""
     if not fit.ridge:
         return ()
-    names = [name for name in fit.coefficients if name in fit.information.names]
-    typical = np.array([fit.parameters[name].typical for name in names])
-    moves = np.abs(_moves_along_ridge(fit, names) / typical).max(0)
-    with_start_known = fit.information.among(names)
-    *_, null = directions_of_squares(with_start_known, typical)
+    coefficients = list(fit.coefficients)
+    typical = np.array([fit.parameters[name].typical for name in coefficients])
+    rows = all_coefficient_rows(fit)[:, :-1] * typical
+    free = [name for name in coefficients if name in fit.information.names]
+    is_free = np.isin(coefficients, free)
+    moves = np.abs(_moves_along_ridge(fit, free) / typical[is_free]).max(0)
+    with_start_known = fit.information.among(free)
+    *_, null = directions_of_squares(with_start_known, typical[is_free])
     unseen_shares = np.linalg.norm(null, axis=0)
     open_ = []
-    for name, move, unseen in zip(names, moves, unseen_shares, strict=True):
-        unit = np.array([1.0 if other == name else 0.0 for other in fit.coefficients])
-        stderr = stderr_of_coefficients(fit, unit)
+    for name, move, unseen in zip(free, moves, unseen_shares, strict=True):
+        weights = typical * [other == name for other in coefficients]
+        stderr = standard_error(rows, weights)
         weak = WEAK_ERROR * fit.parameters[name].typical
         is_weak = stderr is None or stderr >= weak
         if move > WEAK_ERROR and unseen < _UNSEEN_SHARE and is_weak:

@@ -331,14 +331,15 @@ def _names_at(covariance: Covariance, indices: NDArray[np.int64]) -> tuple[str, 
 def to_be_held(
     covariance: Covariance, probes: Iterable[Probe], coefficients: int
 ) -> list[int]:
-    """Indices of the parameters along which the ridge is to be followed.
+    """Indices of the parameters along which the ridge is to be followed:
 
-    Those that probes tell about at which chi squared departs from its quadratic; where
-    the search has not ended, those that are hardly determined; those that the data
-    hardly push against their bound; a spin that is not known, on whose square friction
-    depends, or that is at its bound; of a stone that may not have spun, the
-    coefficients too, since the force on it depends on the sense of the spin; and then
-    all that are weak.
+    - those that probes tell about at which chi squared departs from its quadratic;
+    - where the search has not ended, those that are hardly determined;
+    - those that the data hardly push against their bound;
+    - a spin that is not known, on whose square friction depends, or is at its bound;
+    - of a stone that may not have spun, the coefficients too, since the force on it
+      depends on the sense of the spin;
+    - if there are any of these, all that are weak.
 
     Parameters
     ----------

@@ -40,6 +40,7 @@ from curlfit.inference.model.problem import ROWS_OF_DATA
 from curlfit.inference.solve.initial_values import default_guess
 from curlfit.inference.solve.least_squares import (
     MOST_STEPS,
+    Indices,
     Solution,
     Tasks,
     minimize_many,
@@ -305,22 +306,22 @@ class Optima:
 
     def _probes(self) -> list[list[Probe]]:
         """Probes about the optimum of each throw, with their rises of chi squared."""
-        probes_by_throw = [probes_about(covariance) for covariance in self.covariances]
-        rows = []
-        points = []
-        for row, probes in enumerate(probes_by_throw):
-            for probe in probes:
-                rows.append(row)
-                points.append(probe.point)
-        if not points:
-            return probes_by_throw
-        rises = iter(self._rises(np.array(rows), np.array(points)).tolist())
-        return [
-            [probe.with_rise(next(rises)) for probe in probes]
-            for probes in probes_by_throw
-        ]
+        rows: list[int] = []
+        probes: list[Probe] = []
+        for row, covariance in enumerate(self.covariances):
+            of_throw = probes_about(covariance)
+            rows += [row] * len(of_throw)
+            probes += of_throw
+        by_throw: list[list[Probe]] = [[] for _ in self.fits]
+        if not probes:
+            return by_throw
+        points = np.array([probe.point for probe in probes])
+        rises = self._rises(np.array(rows), points)
+        for row, probe, rise in zip(rows, probes, rises.tolist(), strict=True):
+            by_throw[row].append(probe.with_rise(rise))
+        return by_throw
 
-    def _rises(self, rows: Floats, points: Floats) -> Floats:
+    def _rises(self, rows: Indices, points: Floats) -> Floats:
         """Rises of chi squared, with what priors and other throws add to it, from the
         optima of throws, by row, to points of them."""
         optima = self._solutions.values[rows]

@@ -78,19 +78,21 @@ def summarize_many(
         have in common.
     others : what other throws say of some parameters of each, in place of priors of
         these; a stack.
-    ridges : of throws that were fitted together, follows their ridge.
+    ridges : follows the ridge of throws that were fitted together; without it, it is
+        not followed.
     """
     if not fits:
         return []
+    widths = widths or {}
     optima = Optima(fits, batch, curves=curves, common=common, others=others)
     departures = optima.departures(ridges)
-    results = _records(optima, departures, widths or {})
+    results = _records(optima, departures, widths)
     better = optima.searched_on(departures)
     if better:
         better_optima = Optima(better.values(), batch, curves=curves)
         earlier = [departures[row].ridge for row in better]
         departures = better_optima.departures(earlier=earlier)
-        better_results = _records(better_optima, departures, widths or {})
+        better_results = _records(better_optima, departures, widths)
         for row, result in zip(better, better_results, strict=True):
             results[row] = result
     return results
@@ -99,20 +101,12 @@ def summarize_many(
 def _records(
     optima: Optima, departures: Sequence[Departures], widths: Mapping[str, float]
 ) -> list[FitResult]:
-    """The records of optima, with the systematic errors due to conditions."""
+    """The records of optima, with the systematic errors due to conditions of these
+    widths."""
     shifts = optima.shifts(widths)
     results = []
     for row, fit in enumerate(optima.fits):
-        result = _record(
-            fit,
-            None if optima.paths is None else optima.paths[row],
-            optima.residuals[row],
-            optima.covariances[row],
-            departures[row],
-            shifts[row],
-            widths,
-            alone=optima.are_alone,
-        )
+        result = _record(optima, row, departures[row], shifts[row], widths)
         if not optima.are_alone:
             # What a fit of one throw says of its residuals holds for one of several.
             result = with_change(fit, result)
@@ -130,34 +124,32 @@ class _ChannelResiduals(NamedTuple):
 
 
 def _record(
-    fit: LeastSquaresFit,
-    path: Floats | None,
-    residual: Floats,
-    covariance: FitCovariance,
+    optima: Optima,
+    row: int,
     departures: Departures,
     shifts: Mapping[str, Floats],
     widths: Mapping[str, float],
-    *,
-    alone: bool,
 ) -> FitResult:
     """The record of one fit.
 
     Parameters
     ----------
-    path : the fitted path, shape (channels, n); None without curves.
-    residual : measured - fitted, shape (channels, n).
-    shifts : of the open parameters, by condition.
+    row : of the throw.
+    departures : of its chi squared from the quadratic.
+    shifts : of its open parameters, by condition.
     widths : of these conditions.
-    alone : whether the throw is fitted by itself.
     """
+    fit = optima.fits[row]
+    covariance = optima.covariances[row]
+    identifiability = covariance.identifiability
     law = fit.model.law
     throw = fit.request.throw
     reference = throw.reference
-    identifiability = covariance.identifiability
-    residual = residual[:, : len(throw)]
+    residual = optima.residuals[row][:, : len(throw)]
+    path = None
     curves = {}
-    if path is not None:
-        path = path[:, : len(throw)]
+    if optima.paths is not None:
+        path = optima.paths[row][:, : len(throw)]
         curves = dict(zip(CHANNELS, path[: len(CHANNELS)], strict=True))
     by_channel = _by_channel(fit, residual)
     rms = {}
@@ -177,7 +169,7 @@ def _record(
         throw, residual, lag1, covariance.dof, covariance.leverage, fit.request.loss
     )
     misfit = _misfit(fit, by_channel, outliers)
-    unusual = _unusual(fit, estimates["v0"], curves, misfit, alone=alone)
+    unusual = _unusual(fit, estimates["v0"], curves, misfit, alone=optima.are_alone)
     is_refused = any(finding.is_refusal for finding in unusual)
     systematics = Systematics()
     if shifts:
