@@ -231,13 +231,12 @@ class _Plan:
         ----------
         rises : chi squared at the probes.
         """
-        departing = [
-            probe
+        probes = [
+            probe.with_rise(rise)
             for probe, rise in zip(self.probes, rises, strict=True)
-            if probe.departs(rise)
         ]
         count = int(self.common.sum())
-        indices = to_be_held(self.covariance, departing, count)
+        indices = to_be_held(self.covariance, probes, count)
         if self.is_single:
             return indices
         coefficients = [index for index in indices if index < count]

@@ -40,7 +40,15 @@ from curlfit.numerics.differences import slopes
 from curlfit.throws.motion import SURE, motion_of
 from curlfit.throws.throw import CHANNELS
 
-_CLEAR = 0.2  # m; a smaller curl of a path may be that of the ice
+_CLEAR = 0.2
+"""m; a smaller curl of a path may be that of the ice."""
+_FARTHER = 2.0
+"""Rms residual of the law over that with independent noise, up to which it is as
+near."""
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
+"""Of a hypothetical channel: m, m, rad, m/s, rad/s."""
+_STEP = 1e-4
+"""Of a typical size, of differences: the path is accurate to 1e-8 of it."""
 
 
 def curl_warnings(fits: Sequence[FitResult]) -> list[Finding]:
@@ -96,10 +104,6 @@ def measured_curl(fit: FitResult) -> float | None:
     if motion is None or abs(motion.curl) - SURE * motion.curl_error < _CLEAR:
         return None
     return -motion.curl
-
-
-# rms residual of the law over that with independent noise, up to which it is as near
-_FARTHER = 2.0
 
 
 def with_noise_advice(
@@ -167,11 +171,6 @@ def _error_factors(correlated: FitResult, white: FitResult) -> list[dict[str, An
     return factors
 
 
-NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
-"""Of a hypothetical channel: m, m, rad, m/s, rad/s."""
-_STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 of it
-
-
 def remedies(
     fit: LeastSquaresFit, open_: Sequence[str], held: Collection[str]
 ) -> tuple[FurtherMeasurement, ...]:
@@ -187,23 +186,24 @@ def remedies(
     Parameters with the same remedy are grouped.
     """
     measurements = _Measurements.of(fit, held)
-    missing = measurements.missing
     if not fit.noise.is_white:
-        unseen = measurements.never_seen()
-        never = [name for name in open_ if name in unseen]
-        return (FurtherMeasurement(tuple(never), (), all=False),) if never else ()
+        never_seen = measurements.never_seen()
+        names = tuple(name for name in open_ if name in never_seen)
+        return (FurtherMeasurement(names, (), all=False),) if names else ()
+    missing = measurements.missing
     by_channel = {channel: measurements.determined([channel]) for channel in missing}
     by_all = measurements.determined(missing) if len(missing) > 1 else set()
-    groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
+    names_by_remedy: dict[FurtherMeasurement, list[str]] = {}
     for name in open_:
-        channels = [channel for channel, names in by_channel.items() if name in names]
+        channels = [channel for channel in missing if name in by_channel[channel]]
         all_needed = not channels and name in by_all
         if all_needed:
             channels = measurements.needed_for(name)
-        groups.setdefault((tuple(channels), all_needed), []).append(name)
+        remedy = FurtherMeasurement((), tuple(channels), all_needed)
+        names_by_remedy.setdefault(remedy, []).append(name)
     return tuple(
-        FurtherMeasurement(tuple(names), channels, all_needed)
-        for (channels, all_needed), names in groups.items()
+        replace(remedy, parameters=tuple(names))
+        for remedy, names in names_by_remedy.items()
     )
 
 

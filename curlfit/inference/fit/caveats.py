@@ -20,15 +20,23 @@ from curlfit.inference.noise.independence import time_of_motion
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 
-_EARLY = 5  # rows in which a hand may still be on the stone
-_MUCH = 1.5  # times the given sigma, above which residuals count as too large ...
-# ... if chi squared is this many of its own standard deviations too high
+_EARLY = 5
+"""Rows in which a hand may still be on the stone."""
+_MUCH = 1.5
+"""Times the given sigma, above which residuals count as too large ..."""
 _NOT_BY_CHANCE = 5.0
-_MISSED = 4.0  # sigmas beyond which an event counts as missed; by chance one in 16,000
-_FEWEST = 20  # values of a channel, above which their independence is judged
-_NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
-# memory over time of motion, above which errors are too small (`tests/statistics`)
+"""... if chi squared is this many of its own standard deviations too high."""
+_MISSED = 4.0
+"""Sigmas beyond which an event counts as missed; by chance one in 16,000."""
+_FEWEST = 20
+"""Values of a channel, above which their independence is judged."""
+_EXACT = 10 * SIGMA_FLOOR
+"""Root mean square of residuals up to which they are rounding errors."""
+_NOT_LINEAR = 10.0
+"""Typical sizes, beyond which a shift is not of first order."""
 _LASTING = 0.1
+"""Memory over time of motion, above which errors are too small
+(`tests/statistics`)."""
 
 
 def warnings_of(
@@ -104,7 +112,7 @@ def _of_correlation(result: FitResult) -> list[Finding]:
     channels = []
     for name, independence in result.independence.items():
         count = int(np.isfinite(result.observed[name]).sum())
-        is_exact = result.rms[name] <= 10 * SIGMA_FLOOR
+        is_exact = result.rms[name] <= _EXACT
         if independence.doubtful and count > _FEWEST and not is_exact:
             channels.append(
                 {
@@ -212,12 +220,12 @@ def _of_given_sigma(
         if channel not in throw.sigma:
             continue
         excluded = [outlier.t for outlier in outliers if outlier.channel == channel]
-        kept = throw.finite[row] & ~np.isin(throw.t, excluded)
-        if not kept.any():
+        rows = throw.finite[row] & ~np.isin(throw.t, excluded)
+        if not rows.any():
             continue
-        over_sigma = residual[row, kept] / throw.sigma[channel][kept]
+        over_sigma = residual[row, rows] / throw.sigma[channel][rows]
         per_value = float(np.mean(over_sigma**2))  # chi squared, about 1
-        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / kept.sum())
+        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / rows.sum())
         if per_value > max(by_chance, _MUCH**2):
             too_large.append({"channel": channel, "times": float(np.sqrt(per_value))})
     if not too_large:

@@ -39,10 +39,23 @@ _SURE = 30.0
 """Twice the gain in log-likelihood of a change, at least. Of 2,600 throws that did not
 change none is then said to, of 393 that did 285 are (section "Sudden changes" of
 tests/statistics/README.md)."""
-_TIMES = 24  # at which the friction may change; the velocity at twice as many
-_SMOOTH = 2  # degree of the polynomials in time for what varies smoothly
-_CHANGED = 1.001  # friction over that of the fit, in a response to it
-_SLOWEST = 1e-3  # m/s, of which the logarithm is taken
+_TIMES = 24
+"""At which the friction may change; the velocity at twice as many."""
+_SMOOTH = 2
+"""Degree of the polynomials in time for what varies smoothly."""
+_PER_SMOOTH_RESPONSE = 2.0
+"""What each smooth response costs of twice the log-likelihood, as it has a factor of
+its own (Akaike 1974)."""
+_CHANGED = 1.001
+"""Friction over that of the fit, in a response to it."""
+_SLOWEST = 1e-3
+"""m/s, of which the logarithm is taken."""
+_NOTHING = 1e-300
+"""Sum of squares, or length, that stands for zero in a quotient."""
+_ROUNDING = 1e-9
+"""Singular value over the largest, of factors that may be rounding error ..."""
+_ROUNDING_OF_COLUMNS = 1e-8
+"""... and of columns of length 1."""
 
 
 class Change(NamedTuple):
@@ -76,6 +89,10 @@ class Change(NamedTuple):
             times=times,
             channel=self.channel,
         )
+
+    def added_to(self, result: FitResult) -> FitResult:
+        """The record of a fit with the warning of this change before others."""
+        return replace(result, warnings=(self.finding(), *result.warnings))
 
 
 class _Residuals(NamedTuple):
@@ -120,6 +137,10 @@ class _Residuals(NamedTuple):
         changes[:, axis] = displacements * self.weight[axis]
         return changes.reshape(len(displacements), -1)
 
+    def columns_with(self, responses: Floats) -> Floats:
+        """Columns of the parameters, and of responses of shape (k, rows)."""
+        return np.vstack([self.jacobian.T, responses]).T
+
 
 class _Candidates(NamedTuple):
     """Changes of one kind that are tried."""
@@ -130,6 +151,17 @@ class _Candidates(NamedTuple):
     """of the weighted path, up to a factor for each, shape (changes, factors, rows)"""
     smooth: Floats
     """responses to what varies smoothly, shape (k, rows)"""
+
+
+class _Explained(NamedTuple):
+    """The change of a kind that explains the residuals best."""
+
+    number: int
+    """of the change among those that are tried"""
+    before: Floats
+    """residuals beyond the columns, which explain them in any case"""
+    after: Floats
+    """those beyond the response to the change too"""
 
 
 def may_have_changed(fit: LeastSquaresFit, result: FitResult) -> bool:
@@ -149,37 +181,42 @@ def change_of(fit: LeastSquaresFit) -> Change | None:
     since = _responses_to_friction(fit, residuals, times)
     friction = _of_friction(times, since)
     velocity = _of_velocity(residuals)
-    surest = None
-    largest_gain = _SURE
-    for candidates in (friction, velocity):
-        columns = np.vstack([residuals.jacobian.T, candidates.smooth]).T
-        _, before, after = _best(residuals.values, candidates.responses, columns)
-        gain = _gain(before, after, residuals.weight)
-        if gain > largest_gain:
-            surest = candidates
-            largest_gain = gain
+    surest = _surest(residuals, friction, velocity)
     if surest is None:
         return None
     # What varies smoothly takes up part of a change, and would move it.
-    index, before, after = _best(residuals.values, surest.responses, residuals.jacobian)
-    middles = (times[1:] + times[:-1]) / 2
-    speed = np.maximum(np.interp(middles, residuals.t, residuals.speed), _SLOWEST)
-    by_speed = np.log(speed) @ (since[:-1] - since[1:])
+    explained = _best(residuals.values, surest.responses, residuals.jacobian)
+    by_speed = _response_to_power_of_speed(residuals, times, since)
     smooth = np.vstack([friction.smooth, velocity.smooth, by_speed])
-    columns = np.vstack([residuals.jacobian.T, smooth]).T
-    remainder = _beyond(columns, residuals.values)
-    # Each of the smooth responses has a factor of its own, which costs 2 (Akaike 1974).
-    if _gain(after, remainder, residuals.weight) > 2 * len(smooth):
+    remainder = _beyond(residuals.columns_with(smooth), residuals.values)
+    gain_of_smooth = _gain(explained.after, remainder, residuals.weight)
+    if gain_of_smooth > _PER_SMOOTH_RESPONSE * len(smooth):
         return None
-    explained = (before**2 - after**2).reshape(residuals.weight.shape).sum(axis=1)
+    squares = explained.before**2 - explained.after**2
+    by_channel = squares.reshape(residuals.weight.shape).sum(axis=1)
     first = float(fit.request.throw.t[0])
     return Change(
-        begin=first + float(surest.begins[index]),
-        end=first + float(surest.ends[index]),
-        channel=CHANNELS[int(explained[: len(CHANNELS)].argmax())],
+        begin=first + float(surest.begins[explained.number]),
+        end=first + float(surest.ends[explained.number]),
+        channel=CHANNELS[int(by_channel[: len(CHANNELS)].argmax())],
         first=first,
         last=first + residuals.duration,
     )
+
+
+def _surest(residuals: _Residuals, *kinds: _Candidates) -> _Candidates | None:
+    """The kind of change whose best gains most beyond what varies smoothly; None if no
+    gain is sure."""
+    surest = None
+    largest_gain = _SURE
+    for candidates in kinds:
+        columns = residuals.columns_with(candidates.smooth)
+        explained = _best(residuals.values, candidates.responses, columns)
+        gain = _gain(explained.before, explained.after, residuals.weight)
+        if gain > largest_gain:
+            surest = candidates
+            largest_gain = gain
+    return surest
 
 
 def with_change(fit: LeastSquaresFit, result: FitResult) -> FitResult:
@@ -187,18 +224,16 @@ def with_change(fit: LeastSquaresFit, result: FitResult) -> FitResult:
     if not (result.converged and may_have_changed(fit, result)):
         return result
     change = change_of(fit)
-    if change is None:
-        return result
-    return replace(result, warnings=(change.finding(), *result.warnings))
+    return result if change is None else change.added_to(result)
 
 
-def _of_friction(times: Floats, responses_since: Floats) -> _Candidates:
+def _of_friction(times: Floats, since: Floats) -> _Candidates:
     """Friction that is another one between two times.
 
     Parameters
     ----------
     times : in order; the last is that of rest.
-    responses_since : of the weighted path to friction that is another one from each of
+    since : changes of the weighted path if the friction is another one from each of
         the times on, shape (times, rows).
     """
     begins, ends = np.triu_indices(len(times), 1)  # all pairs, the earlier first
@@ -206,8 +241,8 @@ def _of_friction(times: Floats, responses_since: Floats) -> _Candidates:
     begins = begins[~whole_motion]
     ends = ends[~whole_motion]
     # to first order, between two times is since the first less since the second
-    between = responses_since[begins] - responses_since[ends]
-    intervals = responses_since[:-1] - responses_since[1:]
+    between = since[begins] - since[ends]
+    intervals = since[:-1] - since[1:]
     polynomials = chebvander(np.linspace(-1, 1, len(intervals)), _SMOOTH).T
     return _Candidates(
         begins=times[begins],
@@ -244,37 +279,46 @@ def _responses_to_friction(
     return (changes * residuals.weight).reshape(len(times), -1)
 
 
+def _response_to_power_of_speed(
+    residuals: _Residuals, times: Floats, since: Floats
+) -> Floats:
+    """Change of the weighted path, up to a factor, if the friction has a power of the
+    speed as a factor; arguments as in `_of_friction`."""
+    middles = (times[1:] + times[:-1]) / 2
+    speed = np.maximum(np.interp(middles, residuals.t, residuals.speed), _SLOWEST)
+    response: Floats = np.log(speed) @ (since[:-1] - since[1:])
+    return response
+
+
 def _of_velocity(residuals: _Residuals) -> _Candidates:
     """Velocities that jump, along both axes."""
     times: Floats = np.linspace(0.0, residuals.duration, 2 * _TIMES, endpoint=False)
-    since: Floats = np.maximum(residuals.t - times[:, None], 0.0)
-    jumps = np.stack([residuals.displaced(since, axis) for axis in (0, 1)], axis=1)
+    time_since: Floats = np.maximum(residuals.t - times[:, None], 0.0)
+    jumps = np.stack([residuals.displaced(time_since, axis) for axis in (0, 1)], axis=1)
     # accelerations that are polynomials in time
-    polynomials = chebvander(np.linspace(-1, 1, len(times)), _SMOOTH).T @ since
+    polynomials = chebvander(np.linspace(-1, 1, len(times)), _SMOOTH).T @ time_since
     smooth = [residuals.displaced(polynomials, axis) for axis in (0, 1)]
     later = slice(1, None)  # a jump at the start is one of the initial velocity
     return _Candidates(times[later], times[later], jumps[later], np.vstack(smooth))
 
 
-def _best(
-    values: Floats, responses: Floats, columns: Floats
-) -> tuple[int, Floats, Floats]:
-    """Which of some responses explains most of the residuals beyond the columns, and
-    the residuals beyond these before and after."""
+def _best(values: Floats, responses: Floats, columns: Floats) -> _Explained:
+    """Which of some responses, of shape (responses, factors, rows), explains most of
+    the residuals beyond the columns."""
     before = _beyond(columns, values)
     remainders = []
     for response in _beyond(columns, responses):
-        factors = np.linalg.lstsq(response.T, before, rcond=1e-9)[0]
+        factors, *_ = np.linalg.lstsq(response.T, before, rcond=_ROUNDING)
         remainders.append(before - factors @ response)
     best = int(np.argmin([remainder @ remainder for remainder in remainders]))
-    return best, before, remainders[best]
+    return _Explained(best, before, remainders[best])
 
 
 def _beyond(columns: Floats, changes: Floats) -> Floats:
     """Changes, whose last axis has the rows, without what is in the span of columns."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), _NOTHING)
     basis, singular, _ = np.linalg.svd(scaled, full_matrices=False)
-    basis = basis[:, singular > 1e-8]
+    basis = basis[:, singular > _ROUNDING_OF_COLUMNS]
     beyond: Floats = changes - (changes @ basis) @ basis.T
     return beyond
 
@@ -286,7 +330,7 @@ def _gain(before: Floats, after: Floats, weight: Floats) -> float:
     series = after.reshape(measured.shape)
     neighbours = measured[:, 1:] & measured[:, :-1]
     products = float((series[:, 1:] * series[:, :-1] * neighbours).sum())
-    squares = max(float(after @ after), 1e-300)
+    squares = max(float(after @ after), _NOTHING)
     lag1 = max(products / squares, 0.0)
     effective = measured.sum() * (1 - lag1) / (1 + lag1)
     return float(effective * np.log(before @ before / squares))

@@ -17,8 +17,9 @@ from curlfit.inference.information.ridge_information import information_along
 from curlfit.inference.information.thresholds import WEAK_ERROR
 from curlfit.numerics.arrays import Floats
 
-# share of a coefficient in what the data cannot tell in any case
-_HARDLY_TOLD = 0.5
+_UNSEEN_SHARE = 0.5
+"""Share of a coefficient in what the data cannot tell in any case, below which it is
+told of: each of two coefficients of which only the sum enters has a share of 0.7."""
 
 
 def all_coefficient_rows(fit: FitResult, names: Sequence[str] | None = None) -> Floats:
@@ -57,36 +58,28 @@ def coefficient_rows_along_ridge(
     return _as_table(marginal.kept, names), _as_table(marginal.stretched, names)
 
 
-def stderr_of_coefficients(fit: FitResult, weights: Floats) -> float | None:
-    """Standard error of a weighted sum of the coefficients of the law, as wide as
-    the ridge; None where the throw says nothing of it."""
-    typical = np.array(
-        [coefficient.typical for coefficient in fit.coefficients.values()]
-    )
-    rows = all_coefficient_rows(fit)[:, :-1]
-    return standard_error(rows * typical, weights * typical)
-
-
 def left_open(fit: FitResult) -> tuple[str, ...]:
     """Coefficients that the ridge leaves open: that differ along it, and of which
     the throw says too little, though it would with its initial state known. None
     where chi squared is a quadratic."""
     if not fit.ridge:
         return ()
-    names = [name for name in fit.coefficients if name in fit.information.names]
-    typical = np.array([fit.parameters[name].typical for name in names])
-    moves = np.abs(_moves_along_ridge(fit, names) / typical).max(0)
-    places = [fit.information.names.index(name) for name in names]
-    with_start_known = fit.information.matrix[np.ix_(places, places)]
-    *_, null = directions_of_squares(with_start_known, typical)
-    # Each of two coefficients of which only the sum enters has a share of 0.7.
-    is_told_of = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
+    coefficients = list(fit.coefficients)
+    typical = np.array([fit.parameters[name].typical for name in coefficients])
+    rows = all_coefficient_rows(fit)[:, :-1] * typical
+    free = [name for name in coefficients if name in fit.information.names]
+    is_free = np.isin(coefficients, free)
+    moves = np.abs(_moves_along_ridge(fit, free) / typical[is_free]).max(0)
+    with_start_known = fit.information.among(free)
+    *_, null = directions_of_squares(with_start_known, typical[is_free])
+    unseen_shares = np.linalg.norm(null, axis=0)
     open_ = []
-    for name, move, is_told in zip(names, moves, is_told_of, strict=True):
-        unit = np.array([1.0 if other == name else 0.0 for other in fit.coefficients])
-        stderr = stderr_of_coefficients(fit, unit)
+    for name, move, unseen in zip(free, moves, unseen_shares, strict=True):
+        weights = typical * [other == name for other in coefficients]
+        stderr = standard_error(rows, weights)
         weak = WEAK_ERROR * fit.parameters[name].typical
-        if move > WEAK_ERROR and is_told and (stderr is None or stderr >= weak):
+        is_weak = stderr is None or stderr >= weak
+        if move > WEAK_ERROR and unseen < _UNSEEN_SHARE and is_weak:
             open_.append(name)
     return tuple(open_)
 
@@ -94,9 +87,9 @@ def left_open(fit: FitResult) -> tuple[str, ...]:
 def _moves_along_ridge(fit: FitResult, names: Sequence[str]) -> Floats:
     """Moves of parameters from the estimates to the points of the ridge, shape
     (points, parameters)."""
-    places = [list(fit.parameters).index(name) for name in names]
+    columns = [list(fit.parameters).index(name) for name in names]
     points = np.array([point.values for point in fit.ridge])
-    return (points.reshape(-1, len(fit.parameters)) - fit.values)[:, places]
+    return (points.reshape(-1, len(fit.parameters)) - fit.values)[:, columns]
 
 
 def _information_of(fit: FitResult) -> Information:
@@ -116,9 +109,8 @@ def _as_table(information: Information, names: Sequence[str]) -> Floats:
     """As many rows as there are names, of which some may be fixed, with what they give
     as the last column."""
     count = len(information.rows)
-    places = [names.index(name) for name in information.names]
+    columns = [names.index(name) for name in information.names]
     table = np.zeros((len(names), len(names) + 1))
-    table[:count, places] = information.slopes
-    gives = information.slopes @ information.values - information.residual
-    table[:count, -1] = gives
+    table[:count, columns] = information.slopes
+    table[:count, -1] = information.slopes @ information.values - information.residual
     return table

@@ -17,8 +17,9 @@ from curlfit.inference.solve.least_squares import Solution
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
 
-# share of estimated variances in a sum below which the sum counts as known
 _KNOWN = 1e-3
+"""Share of estimated variances in a sum, below which the sum counts as known: Student's
+distribution is then normal to rounding of what is printed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +54,12 @@ class FitCovariance(Covariance):
         information, estimator, of_data : see `Covariance.of`.
         jacobian : of the weighted residuals, shape (channels, n, parameters).
         """
-        known = Covariance.of(information, estimator, of_data, sigmas.total)
-        by_open = jacobian[..., known.open]
-        effect = by_open @ known.conditional_matrix
+        covariance = Covariance.of(information, estimator, of_data, sigmas.total)
+        by_open = jacobian[..., covariance.open]
+        effect = by_open @ covariance.conditional_matrix
         leverage = (effect * by_open).sum(-1)
         return cls(
-            **vars(known),
+            **vars(covariance),
             effect=effect,
             dof=sigmas.dof(leverage),
             leverage=leverage,
@@ -84,9 +85,7 @@ class FitCovariance(Covariance):
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     """Degrees of freedom of sums of estimated variances, along the rows of `parts`
-    (Satterthwaite 1946, eq. 17); None where all are known, or those with finite `dof`
-    contribute less than a thousandth, so that Student's distribution is normal to
-    rounding of what is printed."""
+    (Satterthwaite 1946, eq. 17); None where all are known, or all but a thousandth."""
     size = np.abs(parts)
     estimated = np.where(np.isfinite(dof), size, 0.0).sum(-1)
     is_known = ~(estimated > _KNOWN * size.sum(-1))

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,8 @@ the tangent is known: 0.008 of the sum for eq. 12 under consistent load, 0.03 an
 of false sums under `front-back+sideways`."""
 KNOWN_TO = {"omega0": 0.05, "v0": 0.01}
 """Standard error of a measured initial spin and speed, rad/s and m/s."""
+_OTHERS_KNOWN_TO = 0.1
+"""The same of any other parameter, over its typical size."""
 UNITS = {"omega0": "rad/s", "v0": "m/s"}
 _LOWER = 0.1
 """Fall of chi squared along a ridge below which its optimum is as good as any."""
@@ -68,20 +70,36 @@ _NO_SPIN = 3.0
 
 
 class Probe(NamedTuple):
-    """A point about an optimum, and the rise of chi squared there to first order."""
+    """A point about an optimum at which chi squared is compared with its quadratic."""
 
     point: Floats
     expected: float
+    """rise of chi squared from the optimum to this point to first order"""
     parameters: tuple[str, ...]
     """those that the point tells about"""
     statement: str = ""
-    """the parameter or combination whose error leads to the point, if any"""
+    """the parameter or combination whose error leads to the point; empty of a point
+    along a direction that is hardly determined"""
+    rise: float = math.nan
+    """the rise that was computed"""
 
-    def departs(self, rise: float) -> bool:
+    def with_rise(self, rise: float) -> Self:
+        """The probe with the rise that was computed, infinite if there is no path."""
+        return self._replace(rise=rise if math.isfinite(rise) else math.inf)
+
+    @property
+    def departs(self) -> bool:
         """Whether chi squared is not near its quadratic at this point."""
         if self.statement:
-            return not 1 / _ABOUT < rise / self.expected < _ABOUT
-        return not abs(rise - self.expected) < _LEVEL
+            return not 1 / _ABOUT < self.rise / self.expected < _ABOUT
+        return not abs(self.rise - self.expected) < _LEVEL
+
+    @property
+    def misleads(self) -> bool:
+        """Whether an error that leads to this point is wrong by a factor of two."""
+        if not self.statement:
+            return False
+        return not 1 / _MISLEADING < self.rise / self.expected < _MISLEADING
 
 
 class KnownCondition(NamedTuple):
@@ -120,8 +138,14 @@ class Departures(NamedTuple):
     def judged(
         self, name: str, stderr: float | None, verdict: Verdict, typical: float
     ) -> tuple[float | None, Verdict, str]:
-        """What the ridge makes of an estimate of a typical size: its standard error,
-        its verdict, and the reason of that, if there is one."""
+        """Standard error and verdict of an estimate along the ridge, and the reason of
+        the verdict, empty if there is none to give.
+
+        Parameters
+        ----------
+        stderr, verdict : to first order.
+        typical : size of the parameter.
+        """
         stderr = self.widened(stderr, name)
         if stderr is not None and math.isinf(stderr):
             return None, Verdict.NOT_IDENTIFIABLE, self.range_of(name)
@@ -129,17 +153,19 @@ class Departures(NamedTuple):
             return stderr, Verdict.WEAK, self.range_of(name)
         if name in self.released:
             return None, Verdict.NOT_IDENTIFIABLE, self.range_of(name)
-        if verdict == Verdict.NOT_IDENTIFIABLE and name in self.intervals:
-            return stderr, verdict, self.range_of(name)
-        if verdict == Verdict.PRIOR:
-            return stderr, verdict, "without the priors the data do not determine it"
-        wide = stderr is not None and stderr >= WEAK_ERROR * typical
-        if verdict == Verdict.WEAK or (verdict == Verdict.DETERMINED and wide):
+        is_wide = stderr is not None and stderr >= WEAK_ERROR * typical
+        if verdict == Verdict.DETERMINED and is_wide:
+            verdict = Verdict.WEAK
+        reason = ""
+        if verdict == Verdict.WEAK:
             reason = (
                 f"its standard error is more than half its typical size, {typical:g}"
             )
-            return stderr, Verdict.WEAK, reason
-        return stderr, verdict, ""
+        elif verdict == Verdict.PRIOR:
+            reason = "without the priors the data do not determine it"
+        elif verdict == Verdict.NOT_IDENTIFIABLE and name in self.intervals:
+            reason = self.range_of(name)
+        return stderr, verdict, reason
 
     def range_of(self, name: str) -> str:
         """Why a parameter is not determined."""
@@ -181,21 +207,42 @@ NO_DEPARTURES = Departures({}, set(), {})
 """Of chi squared that is a quadratic, or is taken for one."""
 
 
-def probes_about(covariance: Covariance) -> list[Probe]:
-    """Points about the optimum that show whether chi squared is a quadratic.
+class _LooseDirection(NamedTuple):
+    """A direction along which hardly anything is determined."""
 
-    Two standard errors from the estimate of each parameter and combination that is
-    determined, where the others follow to first order, if these points are within
-    the bounds; on either side along what is hardly determined, one standard
-    error from the optimum, or three typical sizes if that is less, whatever the
-    bounds; and there, along null directions, two standard errors from combinations.
-    """
-    bounded = covariance.information.bounded
+    direction: Floats
+    """unit vector of all parameters in typical sizes"""
+    singular: float
+    """singular value of the direction, 0 of a null direction"""
+
+
+def probes_about(covariance: Covariance) -> list[Probe]:
+    """Points about the optimum that show whether chi squared is a quadratic: beside
+    each parameter and combination that is determined, and along what is hardly
+    determined."""
     determined = covariance.identifiability.weights_of_determined()
     steps = _steps_of(covariance, determined)
     loose_directions = _loose_directions(covariance)
-    null_directions = [axis for axis, singular in loose_directions if singular == 0.0]
-    probes = _probes_of_sums_elsewhere(covariance, steps, null_directions)
+    null_directions = [
+        loose.direction for loose in loose_directions if loose.singular == 0.0
+    ]
+    return [
+        *_probes_of_sums_elsewhere(covariance, steps, null_directions),
+        *_probes_of_statements(covariance, determined, steps),
+        *_probes_along(covariance, loose_directions),
+    ]
+
+
+def _probes_of_statements(
+    covariance: Covariance,
+    determined: Mapping[str, Floats],
+    steps: Mapping[str, Floats],
+) -> list[Probe]:
+    """Two standard errors from the estimate of each parameter and combination that is
+    determined, to either side, where the others follow to first order, if these points
+    are within the bounds."""
+    bounded = covariance.information.bounded
+    probes = []
     for statement, weights in determined.items():
         step = steps[statement]
         if np.abs(step / covariance.typical).max() < _QUADRATIC:
@@ -204,12 +251,23 @@ def probes_about(covariance: Covariance) -> list[Probe]:
         for point in (bounded.values + step, bounded.values - step):
             if ((point >= bounded.lower) & (point <= bounded.upper)).all():
                 probes.append(Probe(point, _PROBED**2, names, statement))
+    return probes
+
+
+def _probes_along(
+    covariance: Covariance, loose_directions: Sequence[_LooseDirection]
+) -> list[Probe]:
+    """One standard error from the optimum along each direction that is hardly
+    determined, or three typical sizes if that is less, to either side, whatever the
+    bounds."""
+    values = covariance.values
+    probes = []
     for direction, singular in loose_directions:
         length = UNKNOWN if singular == 0 else min(1 / singular, UNKNOWN)
         expected = (length * singular) ** 2
         names = _taking_part(covariance, direction)
         step = length * direction * covariance.typical
-        for point in (bounded.values + step, bounded.values - step):
+        for point in (values + step, values - step):
             probes.append(Probe(point, expected, names))
     return probes
 
@@ -271,21 +329,29 @@ def _names_at(covariance: Covariance, indices: NDArray[np.int64]) -> tuple[str, 
 
 
 def to_be_held(
-    covariance: Covariance, departing: Sequence[Probe], coefficients: int
+    covariance: Covariance, probes: Iterable[Probe], coefficients: int
 ) -> list[int]:
-    """Indices of the parameters along which the ridge is to be followed.
+    """Indices of the parameters along which the ridge is to be followed:
 
-    Those that probes tell about at which chi squared departs from its quadratic; where
-    the search has not ended, those that are hardly determined; those that the data
-    hardly push against their bound; a spin that is not known, on whose square friction
-    depends, or that is at its bound; of a stone that may not have spun, the
-    coefficients too, the first parameters, since the force on it depends on the sense
-    of the spin; and then all that are weak.
+    - those that probes tell about at which chi squared departs from its quadratic;
+    - where the search has not ended, those that are hardly determined;
+    - those that the data hardly push against their bound;
+    - a spin that is not known, on whose square friction depends, or is at its bound;
+    - of a stone that may not have spun, the coefficients too, since the force on it
+      depends on the sense of the spin;
+    - if there are any of these, all that are weak.
+
+    Parameters
+    ----------
+    probes : all of `probes_about`, with their rises.
+    coefficients : number of them; they are the first parameters.
     """
-    names = {name for probe in departing for name in probe.parameters}
-    if covariance.distance >= CONVERGED:
-        for direction, _ in _loose_directions(covariance):
-            names.update(_taking_part(covariance, direction))
+    has_ended = covariance.distance < CONVERGED
+    names: set[str] = set()
+    for probe in probes:
+        is_along_loose_direction = not probe.statement
+        if probe.departs or (is_along_loose_direction and not has_ended):
+            names.update(probe.parameters)
     held = {index for index, name in enumerate(covariance.names) if name in names}
     held.update(np.flatnonzero(covariance.at_bound & covariance.open).tolist())
     held.update(_held_for_the_spin(covariance, coefficients))
@@ -421,9 +487,7 @@ def departures_together(
     return departures._replace(remedy=None, lower=None, ridge=None)
 
 
-def departures_nearby(
-    covariance: Covariance, departing: Sequence[tuple[Probe, float]]
-) -> Departures:
+def departures_nearby(covariance: Covariance, probes: Iterable[Probe]) -> Departures:
     """What is said of parameters and combinations where the ridge is not followed.
 
     A sum of parameters along a direction that is hardly determined is lost where
@@ -431,22 +495,20 @@ def departures_nearby(
 
     Parameters
     ----------
-    departing : the probes at which chi squared departs from its quadratic, and by how
-        much it rises there.
+    probes : with their rises.
     """
-    lost = {
-        probe.statement
-        for probe, rise in departing
-        if probe.statement and not 1 / _MISLEADING < rise / probe.expected < _MISLEADING
-    }
+    departing = [probe for probe in probes if probe.departs]
+    lost = {probe.statement for probe in departing if probe.misleads}
     weights = covariance.identifiability.weights_of_determined()
     for combination in covariance.identifiability.combinations:
         row = weights[combination.expression]
         size = np.abs(row * covariance.typical[covariance.open]).max()
-        for probe, rise in departing:
-            aside = covariance.stderr(row) * math.sqrt(1 + max(rise, 0.0))
-            concerned = set(probe.parameters) & combination.weights.keys()
-            if concerned and not probe.statement and aside > _NARROW * size:
+        stderr = covariance.stderr(row)
+        for probe in departing:
+            if probe.statement or not combination.weights.keys() & {*probe.parameters}:
+                continue
+            aside = stderr * math.sqrt(1 + max(probe.rise, 0.0))
+            if aside > _NARROW * size:
                 lost.add(combination.expression)
     return Departures({}, lost, {})
 
@@ -460,24 +522,23 @@ def _remedy(
     if not ridge.points:
         return None
     identifiability = covariance.identifiability
-    open_names = list(identifiability.names)
-    unseen = set(itertools.compress(open_names, identifiability.unseen))
+    unseen = itertools.compress(identifiability.names, identifiability.unseen)
+    left_open = lost.union(unseen)
     coefficients = covariance.names[: len(usual)]
-    wanted = [name for name in coefficients if name in lost or name in unseen]
     point = ridge.nearest(usual, covariance.typical[: len(usual)])
     for index in sorted(ridge.intervals, reverse=True):
-        name = covariance.names[index]
-        if name not in open_names:
+        if not covariance.open[index]:
             continue
-        typical = float(covariance.typical[index])
-        known_to = KNOWN_TO.get(name, 0.1 * typical)
-        errors = _errors_where_known(
-            covariance,
-            point,
-            index,
-            known_to,
-            [other for other in wanted if other != name],
+        name = covariance.names[index]
+        known_to = KNOWN_TO.get(
+            name, _OTHERS_KNOWN_TO * float(covariance.typical[index])
         )
+        wanted = [
+            coefficient
+            for coefficient in coefficients
+            if coefficient in left_open and coefficient != name
+        ]
+        errors = _errors_where_known(covariance, point, index, known_to, wanted)
         if errors:
             near = float(point.values[index])
             return KnownCondition(name, UNITS.get(name, "1"), near, known_to, errors)
@@ -498,9 +559,8 @@ def _errors_where_known(
     # Rows, in typical sizes, of what the data say and of what is known besides.
     rows = point.slopes[:, covariance.open] * sizes
     measured = np.zeros(len(names))
-    measured[names.index(covariance.names[index])] = (
-        covariance.typical[index] / known_to
-    )
+    column = names.index(covariance.names[index])
+    measured[column] = covariance.typical[index] / known_to
     rows = np.vstack([rows, measured])
     errors = {}
     for name in wanted:
@@ -513,19 +573,19 @@ def _errors_where_known(
     return errors
 
 
-def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
-    """Unit vectors in typical sizes along which hardly anything is determined, and
-    the singular value of each, 0 of null directions."""
+def _loose_directions(covariance: Covariance) -> list[_LooseDirection]:
+    """Directions along which hardly anything is determined, those of singular values
+    first and then the null directions."""
     sizes = covariance.typical[covariance.open]
     scaled = covariance.unconfined.scaled[:, covariance.open]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-    weak = visible(singular) & (singular < 1 / _FAINT)
-    loose = [
-        (covariance.in_all(row), value)
-        for row, value in zip(rows[weak], singular[weak].tolist(), strict=True)
-    ]
+    is_weak = visible(singular) & (singular < 1 / _FAINT)
+    loose = []
+    for row, value in zip(rows[is_weak], singular[is_weak].tolist(), strict=True):
+        loose.append(_LooseDirection(covariance.in_all(row), value))
     names = covariance.identifiability.names
-    for null in covariance.identifiability.null_directions:
-        row = np.array([null.get(name, 0.0) for name in names]) / sizes
-        loose.append((covariance.in_all(row / np.linalg.norm(row)), 0.0))
+    for weights in covariance.identifiability.null_directions:
+        row = np.array([weights.get(name, 0.0) for name in names]) / sizes
+        direction = covariance.in_all(row / np.linalg.norm(row))
+        loose.append(_LooseDirection(direction, 0.0))
     return loose

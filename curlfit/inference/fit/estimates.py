@@ -67,12 +67,20 @@ class Estimate(WithInterval):
     prior: str = ""
 
     @classmethod
-    def of(cls, item: Parameter, value: float, verdict: Verdict, **known: Any) -> Self:
-        """The estimate of a parameter; without a standard error unless it is among what
-        is `known` besides."""
-        of_parameter = {name: getattr(item, name) for name in _OF_PARAMETER}
-        stated = {"value": value, "stderr": None, "verdict": verdict}
-        return cls(**stated | known | of_parameter)
+    def of(
+        cls,
+        parameter: Parameter,
+        value: float,
+        verdict: Verdict,
+        *,
+        stderr: float | None = None,
+        **attributes: Any,
+    ) -> Self:
+        """The estimate of a parameter, with further attributes of its own."""
+        of_parameter = {name: getattr(parameter, name) for name in _OF_PARAMETER}
+        return cls(
+            value=value, verdict=verdict, stderr=stderr, **of_parameter, **attributes
+        )
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t, within the bounds; None where there is no

@@ -10,7 +10,7 @@ from curlfit.errors import CurlfitError
 from curlfit.friction import Law, find_law
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
-from curlfit.inference.fit.change_points import may_have_changed, with_change
+from curlfit.inference.fit.change_points import change_of, may_have_changed
 from curlfit.inference.fit.entries import RefitWithStone
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.quantities import quantities_of
@@ -103,10 +103,11 @@ def _fit(
     if not result.converged:
         return result
     if may_have_changed(outcome, result):
-        explained = with_change(outcome, result)
-        if explained is result and details and not result.events:
-            explained = with_noise_advice(result, refit)
-        result = explained
+        change = change_of(outcome)
+        if change is not None:
+            result = change.added_to(result)
+        elif details and not result.events:
+            result = with_noise_advice(result, refit)
     if not details:
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))
@@ -255,10 +256,11 @@ def _fit_alike(
     if systematics is not None:
         widths = widths_of(model, systematics, requests)
     curves = curves or first.loss.is_robust or not first.noise.is_white
-    results = iter(summarize_many(usable, batch, curves=curves, widths=widths))
-    return [
-        outcome
-        if isinstance(outcome, CurlfitError)
-        else with_curl_warning(next(results))
-        for outcome in outcomes
-    ]
+    records = iter(summarize_many(usable, batch, curves=curves, widths=widths))
+    results: list[FitResult | CurlfitError] = []
+    for outcome in outcomes:
+        if isinstance(outcome, CurlfitError):
+            results.append(outcome)
+        else:
+            results.append(with_curl_warning(next(records)))
+    return results

@@ -54,63 +54,69 @@ class _Factor(NamedTuple):
     """its values: at the estimates, then at the points"""
 
 
-def products_of(known: FirstOrder) -> tuple[Derived, ...]:
+class _Determined(NamedTuple):
+    """A product that is determined along the ridge."""
+
+    product: Derived
+    names: frozenset[str]
+    """of its parameters"""
+    relative_error: float
+
+
+def products_of(first_order: FirstOrder) -> tuple[Derived, ...]:
     """The products of undetermined parameters that are determined along the ridge, the
     most precise first; none without a ridge."""
-    if not known.ridge:
+    if not first_order.ridge:
         return ()
-    rises = np.array([0.0, *(point.rise for point in known.ridge)])
-    determined = []
-    for first, second in itertools.combinations(_factors(known, rises), 2):
+    rises = np.array([0.0, *(point.rise for point in first_order.ridge)])
+    determined: list[_Determined] = []
+    for first, second in itertools.combinations(_factors(first_order, rises), 2):
         if first.names & second.names or _on_a_line(first.along, second.along):
             continue
         powers = _powers(first.along, second.along, rises)
         if powers is None:
             continue
         expression = _expression(first.text, second.text, powers)
-        product = replace(
-            derive(known, expression), meaning=_in_words(first, second, powers)
-        )
+        product = derive(first_order, expression)
         if product.stderr is None or not product.verdict.is_known:
             continue
-        error = product.stderr / abs(product.value)
-        if error <= _PRECISE:
+        relative_error = product.stderr / abs(product.value)
+        if relative_error <= _PRECISE:
+            product = replace(product, meaning=_in_words(first, second, powers))
             names = first.names | second.names
-            determined.append((len(names), error, names, product))
-    determined.sort(key=lambda entry: entry[:2])
+            determined.append(_Determined(product, names, relative_error))
+    determined.sort(key=lambda entry: (len(entry.names), entry.relative_error))
     products = []
     groups: list[frozenset[str]] = []
-    for _, _, names, product in determined:
+    for entry in determined:
         # a product of parameters that others tie together follows from these
-        if not any(names <= group for group in groups):
-            products.append(product)
-            groups = _tied(groups, names)
+        if not any(entry.names <= group for group in groups):
+            products.append(entry.product)
+            groups = _tied(groups, entry.names)
     return tuple(products)
 
 
-def _factors(known: FirstOrder, rises: Floats) -> list[_Factor]:
+def _factors(first_order: FirstOrder, rises: Floats) -> list[_Factor]:
     """What may be a factor: it varies along the ridge and is nowhere zero."""
-    points = [known.values, *known.points]
+    points = [first_order.values, *first_order.points]
     names = [
         name
-        for name, item in known.parameters.items()
-        if (item.verdict.is_left_open or item.verdict == Verdict.AT_BOUND)
+        for name, estimate in first_order.parameters.items()
+        if (estimate.verdict.is_left_open or estimate.verdict == Verdict.AT_BOUND)
         and name not in _POSITIONS
     ]
     along = {name: np.array([point[name] for point in points]) for name in names}
-    initial = {item.name for item in START}
+    initial = {parameter.name for parameter in START}
     coefficients = [name for name in names if name not in initial]
     factors = [_Factor(name, frozenset([name]), along[name]) for name in coefficients]
-    for pair in itertools.combinations(coefficients, 2):
-        first, second = pair
+    for first, second in itertools.combinations(coefficients, 2):
         if along[first][0] < along[second][0]:
             first, second = second, first
+        pair = frozenset([first, second])
         difference = along[first] - along[second]
+        factors.append(_Factor(f"({first} - {second})", pair, difference))
         sum_ = along[first] + along[second]
-        factors += [
-            _Factor(f"({first} - {second})", frozenset(pair), difference),
-            _Factor(f"({first} + {second})", frozenset(pair), sum_),
-        ]
+        factors.append(_Factor(f"({first} + {second})", pair, sum_))
     factors += [
         _Factor(name, frozenset([name]), along[name])
         for name in names
@@ -161,13 +167,16 @@ def _expression(first: str, second: str, powers: tuple[int, int]) -> str:
 
 def _in_words(first: _Factor, second: _Factor, powers: tuple[int, int]) -> str:
     """How the factors of a product change along the ridge: b falls as omega0 grows."""
-    grows, with_it = (
-        factor.text.strip("()") if factor.along[0] > 0 else f"|{factor.text}|"
-        for factor in (first, second)
-    )
+    of_first = _size_in_words(first)
+    of_second = _size_in_words(second)
     if powers[1] > 0:
-        return f"{grows} falls as {with_it} grows"
-    return f"{grows} grows with {with_it}"
+        return f"{of_first} falls as {of_second} grows"
+    return f"{of_first} grows with {of_second}"
+
+
+def _size_in_words(factor: _Factor) -> str:
+    """The factor, or its absolute value where it is negative."""
+    return factor.text.strip("()") if factor.along[0] > 0 else f"|{factor.text}|"
 
 
 def _tied(

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.friction import Parameter
 from curlfit.inference.derived.assessed import assessed
@@ -29,6 +30,7 @@ _FARTHER = 1e-2  # of the typical size of a condition, which changes the path le
 _PRECISION = 1e-7  # of the path, m and rad
 _ROUNDING = 1e-7  # of the largest derivative by typical sizes; less is rounding error
 _NEAR = 0.05  # m by which the ends of a record may miss a line
+_BEYOND = 1.0  # s by which a line may be crossed before or after the record
 _DRAWS = 400  # of the posterior
 _TRIED = 40  # draws that are tested for linearity in the parameters
 _LINEAR = 0.03  # sd by which they may be off
@@ -58,9 +60,13 @@ class _Motion(NamedTuple):
         last = self.t[rows - 1]
         times = CubicSpline(self.t[:rows], self.y[:rows]).solve(LINES[line])
         outside = np.maximum(times - last, 0) + np.maximum(first - times, 0)
-        if len(times) and outside.min() < 1.0:
+        if len(times) and outside.min() < _BEYOND:
             return float(times[np.argmin(outside)])
         return math.nan
+
+    def time_between(self, first: str, second: str) -> float:
+        """Time from one line to another, s; NaN where it does not cross both."""
+        return self.time_at(second) - self.time_at(first)
 
     def curl(self, line: str | None = None) -> float:
         """Distance to the right of the line along the initial velocity, m, at a line of
@@ -162,44 +168,38 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         condition for condition in CONDITIONS if condition.name in first_order.widths
     ]
     values, gradients = _values_and_gradients(path, fit, definitions, conditions)
+    names = parameters.names_where(parameters.free)
+    by_parameter, by_condition = np.split(gradients, [len(names)], axis=1)
+    names_of_conditions = [condition.name for condition in conditions]
+    widths = np.array([first_order.widths[name] for name in names_of_conditions])
     samples = None
     if chain is not None and len(chain.flat):
-        by_free = gradients[:, : int(parameters.free.sum())]
         steps = (chain.flat - fit.values)[:, parameters.free]
-        samples = _samples(path, chain.flat, definitions, values + steps @ by_free.T)
-    names = parameters.names_where(parameters.free)
-    names_of_conditions = [condition.name for condition in conditions]
+        linear = values + steps @ by_parameter.T
+        samples = _samples(path, chain.flat, definitions, linear)
     quantities = {}
     for row, definition in enumerate(definitions):
-        value = float(values[row])
-        gradient = gradients[row].tolist()
-        if not np.isfinite([value, *gradient]).all():
+        if not np.isfinite([values[row], *gradients[row]]).all():
             continue
-        by_parameter = dict(zip(names, gradient[: len(names)], strict=True))
-        by_condition = dict(
-            zip(names_of_conditions, gradient[len(names) :], strict=True)
-        )
-        changes = {
-            name: first_order.widths[name] * slope
-            for name, slope in by_condition.items()
-        }
+        changes = widths * by_condition[row]
         quantity = assessed(
             first_order,
             definition.name,
-            value,
-            by_parameter,
-            changes,
+            float(values[row]),
+            dict(zip(names, by_parameter[row].tolist(), strict=True)),
+            dict(zip(names_of_conditions, changes.tolist(), strict=True)),
             held_counts=False,
         )
         # Under a law that cannot curl a stone, the path contains no information
         # on the curl.
         is_told = quantity.stderr is not None and quantity.stderr > _PRECISION
-        if quantity.verdict.is_known and is_told:
-            if samples is not None:
-                quantity = with_quantiles(quantity, samples[:, row])
-            quantities[definition.name] = replace(
-                quantity, meaning=definition.meaning, unit=definition.unit
-            )
+        if not (quantity.verdict.is_known and is_told):
+            continue
+        if samples is not None:
+            quantity = with_quantiles(quantity, samples[:, row])
+        quantities[definition.name] = replace(
+            quantity, meaning=definition.meaning, unit=definition.unit
+        )
     return quantities
 
 
@@ -219,7 +219,7 @@ def _values_and_gradients(
         """At the parameters and then the conditions, each over its assumed value."""
         off = zip(names, point[count:], strict=True)
         motion = path.at(point[:count], {name: by for name, by in off if by})
-        return np.array([definition.of(motion) for definition in definitions])
+        return _values(definitions, motion)
 
     point = np.append(fit.values, np.zeros(len(names)))
     sizes_of_conditions = [condition.typical for condition in conditions]
@@ -246,21 +246,23 @@ def _samples(
     linear : the quantities to first order at each of them.
     """
 
-    def by_paths(rows: Any) -> Floats:
-        motions = [path.at(flat[row]) for row in rows]
-        return np.array(
-            [
-                [definition.of(motion) for definition in definitions]
-                for motion in motions
-            ]
-        )
+    def evenly(number: int) -> NDArray[np.int64]:
+        """Evenly spaced rows of the samples, each once."""
+        return np.unique(np.linspace(0, len(flat) - 1, number).astype(int))
 
-    last = len(flat) - 1
-    rows = np.unique(np.linspace(0, last, _TRIED).astype(int))
+    def by_paths(rows: NDArray[np.int64]) -> Floats:
+        return np.array([_values(definitions, path.at(flat[row])) for row in rows])
+
+    rows = evenly(_TRIED)
     errors = np.abs(by_paths(rows) - linear[rows])
     if (errors < _LINEAR * linear.std(axis=0)).all():
         return linear
-    return by_paths(np.unique(np.linspace(0, last, _DRAWS).astype(int)))
+    return by_paths(evenly(_DRAWS))
+
+
+def _values(definitions: Sequence[_Definition], motion: _Motion) -> Floats:
+    """The quantities of a motion."""
+    return np.array([definition.of(motion) for definition in definitions])
 
 
 def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
@@ -281,9 +283,10 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
             _Definition("friction", meaning, "1", lambda motion: motion.friction)
         )
     if "x" in seen and "y" in seen:
-        tee = "far-tee" if "far-tee" in passed else None
+        tee = None
         where = "at rest" if rests else "at the end of the record"
-        if tee is not None:
+        if "far-tee" in passed:
+            tee = "far-tee"
             where = "at the tee line"
         meaning = f"curl to the right, {where}"
         definitions.append(
@@ -300,7 +303,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
                 "hog_to_hog",
                 "hog line to hog line",
                 "s",
-                lambda motion: motion.time_at("far-hog") - motion.time_at("hog"),
+                lambda motion: motion.time_between("hog", "far-hog"),
             )
         )
     if {"hog", "far-tee"} <= passed:
@@ -309,7 +312,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
                 "hog_to_tee",
                 "near hog line to tee line",
                 "s",
-                lambda motion: motion.time_at("far-tee") - motion.time_at("hog"),
+                lambda motion: motion.time_between("hog", "far-tee"),
             )
         )
     if "hog" in passed and rests and abs(best.y[-1] - TEE) < HOUSE:

@@ -16,14 +16,20 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.channels import running_median
 from curlfit.throws.throw import CHANNELS, Throw
 
-_FEWEST = 10  # values of a channel in which outliers are sought
-_FEW = 50  # values, below which a single one pulls the fit
-_BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
-_SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
-# length of a column, over the longest, below which it is rounding error
+_FEWEST = 10
+"""Values of a channel in which outliers are sought."""
+_FEW = 50
+"""Values, below which a single one pulls the fit."""
+_BY_CHANCE = 1e-3
+"""Share of throws that may have an outlier by chance."""
+_SMOOTH = 0.5
+"""Correlation of neighbouring residuals, above which they are called smooth."""
 _NO_LENGTH = 1e-7
-_ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
-_NEIGHBOURS = 9  # rows of a running median, in which up to four outliers do not count
+"""Length of a column, over the longest, below which it is rounding error."""
+_ROUNDING = 1e-12
+"""Eigenvalue, with columns of length 1, that may be rounding error."""
+_NEIGHBOURS = 9
+"""Rows of a running median, in which up to four outliers do not count."""
 
 
 def residuals_of(
@@ -128,15 +134,15 @@ def outliers_of(
         if is_studentized:
             chance = _BY_CHANCE / (2 * residual.shape[0] * count)
             is_far |= _studentized_far(size, leverage[row, observed], dof[row], chance)
-        sigmas = size / sigma
-        for index, sigmas_off in zip(observed[is_far], sigmas[is_far], strict=True):
+        for index in np.flatnonzero(is_far):
+            at_row = observed[index]
             outliers.append(
                 Outlier(
                     channel=channel,
-                    t=float(throw.t[index]),
-                    line=None if throw.lines is None else int(throw.lines[index]),
-                    off=float(residual[row, index]),
-                    sigmas=float(sigmas_off),
+                    t=float(throw.t[at_row]),
+                    line=None if throw.lines is None else int(throw.lines[at_row]),
+                    off=float(residual[row, at_row]),
+                    sigmas=float(size[index] / sigma[index]),
                 )
             )
     return tuple(sorted(outliers, key=lambda outlier: -outlier.sigmas))

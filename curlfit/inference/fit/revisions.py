@@ -42,8 +42,10 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import at
 from curlfit.throws.throw import CHANNELS
 
-_ROBUST_FITS = 4  # each with sigma from the bulk of the last
-_TIGHTER = 0.1  # sigma of a channel over that of the fit before, at least
+_ROBUST_FITS = 4
+"""Each with sigma from the bulk of the last."""
+_TIGHTER = 0.1
+"""Sigma of a channel over that of the fit before, at least."""
 
 
 def revisions(
@@ -66,10 +68,10 @@ def revisions(
     if stack.loss.is_robust:
         with_robust_loss(stack, throws, optima(throws))
         yield throws
-        # Where every sigma is given, one fit with the loss is enough.
-        for _ in range(_ROBUST_FITS - 1 if len(unknown) else 0):
-            with_robust_loss(stack, unknown, optima(unknown))
-            yield unknown
+        if len(unknown):  # where every sigma is given, one fit with the loss is enough
+            for _ in range(_ROBUST_FITS - 1):
+                with_robust_loss(stack, unknown, optima(unknown))
+                yield unknown
     if not stack.noises[0].is_white:
         with_correlated_noise(stack, throws, optima(throws))
         yield throws[~np.isin(throws, [*stack.failures])]

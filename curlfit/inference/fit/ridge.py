@@ -14,7 +14,6 @@ estimate at all points where chi squared has risen by no more than that.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -34,14 +33,17 @@ HIGHEST = 10.83
 _MOST_POINTS = 16
 """On either side: with steps that double, 30,000 times the first step."""
 _GROWTH = 2.0
+"""Of a step over that before."""
 _TOWARD_ZERO = 4.0
+"""By which a value is divided on its way to zero."""
 _NEXT_TO_ZERO = 0.01
-"""In typical sizes."""
+"""In typical sizes: from a smaller value the next step leads to zero."""
 _FIRST_STEP = 0.1
 """In typical sizes, where the standard error is larger or not known."""
 _FARTHEST = 1e3
 """In typical sizes: nothing is known of what may be as far away."""
 _ROUNDING = 1e-9
+"""Singular value over the largest, along which the other parameters do not follow."""
 
 
 class Hold(NamedTuple):
@@ -165,79 +167,6 @@ class Ridge(NamedTuple):
         )
 
 
-@dataclass
-class _Side:
-    """The points on one side of the estimate of a parameter."""
-
-    hold_of: tuple[int, int]
-    """number of the fit, and index of the parameter"""
-    sign: float
-    step: float
-    """of the next point, in the unit of the parameter"""
-    optimum: Point
-    lower: Floats
-    upper: Floats
-    typical: Floats
-    points: list[Point] = field(default_factory=list)
-    goes_on: bool = True
-
-    def next_hold(self) -> Hold:
-        """The next value, and the others where the tangent at the last point leads."""
-        fit, index = self.hold_of
-        last = self.points[-1] if self.points else self.optimum
-        values = np.array(last.values)
-        held = values[index] + self.sign * self.step
-        if held * values[index] <= 0.0 != values[index]:
-            # Toward zero in ratios, since what fits may be a product; there a sense of
-            # spin, or the sign of a force, ends.
-            is_near = abs(values[index]) < _NEXT_TO_ZERO * self.typical[index]
-            held = 0.0 if is_near else values[index] / _TOWARD_ZERO
-        if not self.lower[index] < held < self.upper[index]:
-            held = float(np.clip(held, self.lower[index], self.upper[index]))
-            self.goes_on = False
-        # The others follow, so that residuals change least to first order.
-        moved = held - values[index]
-        others = self.upper > self.lower
-        others[index] = False
-        slopes = last.slopes * self.typical
-        by_held = slopes[:, index] / self.typical[index]
-        follow, *_ = np.linalg.lstsq(slopes[:, others], by_held, rcond=_ROUNDING)
-        values[others] -= moved * follow * self.typical[others]
-        values = np.clip(values, self.lower, self.upper)
-        values[index] = held
-        return Hold(fit, index, values)
-
-    def add(self, point: Point) -> None:
-        """Add the refit at the value that was asked for."""
-        index = self.hold_of[1]
-        rise = _rise(point, self.optimum)
-        self.points.append(point)
-        far = abs(point.values[index] - self.optimum.values[index])
-        self.goes_on &= (
-            rise < HIGHEST
-            and far < _FARTHEST * self.typical[index]
-            and len(self.points) < _MOST_POINTS
-        )
-        self.step *= _GROWTH
-
-    def end_of_interval(self) -> float:
-        """The value at which chi squared has risen by `INTERVAL`, between two points;
-        the last value if it has not risen by so much."""
-        index = self.hold_of[1]
-        value = float(self.optimum.values[index])
-        root = 0.0
-        for point in self.points:
-            next_value = float(point.values[index])
-            rise = _rise(point, self.optimum)
-            next_root = math.sqrt(max(rise, 0.0))
-            if rise >= INTERVAL:
-                share = (math.sqrt(INTERVAL) - root) / (next_root - root)
-                return value + share * (next_value - value)
-            value = next_value
-            root = next_root
-        return value
-
-
 class Followed(NamedTuple):
     """A fit whose ridge is to be followed."""
 
@@ -249,23 +178,94 @@ class Followed(NamedTuple):
     """of the parameters to be held by index, infinite where nothing is known"""
 
 
+@dataclass
+class _Side:
+    """The points on one side of the estimate of a parameter."""
+
+    number: int
+    """of the fit"""
+    fit: Followed
+    index: int
+    """of the parameter"""
+    step: float
+    """to the next point, in the unit of the parameter; negative toward lower values"""
+    points: list[Point] = field(default_factory=list)
+    goes_on: bool = True
+
+    def next_hold(self) -> Hold:
+        """The next value, and the others where the tangent at the last point leads."""
+        last = self.points[-1] if self.points else self.fit.optimum
+        value = self._after(float(last.values[self.index]))
+        lower = self.fit.lower[self.index]
+        upper = self.fit.upper[self.index]
+        if not lower < value < upper:
+            value = float(np.clip(value, lower, upper))
+            self.goes_on = False
+        return Hold(self.number, self.index, self._where_others_follow(last, value))
+
+    def _after(self, value: float) -> float:
+        """The next value of the parameter, whatever its bounds."""
+        next_value = value + self.step
+        if value == 0.0 or next_value * value > 0.0:
+            return next_value
+        # Toward zero in ratios, since what fits may be a product; there a sense of
+        # spin, or the sign of a force, ends.
+        is_near = abs(value) < _NEXT_TO_ZERO * self.fit.typical[self.index]
+        return 0.0 if is_near else value / _TOWARD_ZERO
+
+    def _where_others_follow(self, last: Point, value: float) -> Floats:
+        """All parameters with a new value of the one that is held, where the others
+        follow from the last point so that residuals change least to first order."""
+        typical = self.fit.typical
+        others = self.fit.upper > self.fit.lower
+        others[self.index] = False
+        slopes = last.slopes * typical
+        by_held = slopes[:, self.index] / typical[self.index]
+        follow, *_ = np.linalg.lstsq(slopes[:, others], by_held, rcond=_ROUNDING)
+        values = np.array(last.values)
+        moved = value - values[self.index]
+        values[others] -= moved * follow * typical[others]
+        values = np.clip(values, self.fit.lower, self.fit.upper)
+        values[self.index] = value
+        return values
+
+    def add(self, point: Point) -> None:
+        """Add the refit at the value that was asked for."""
+        self.points.append(point)
+        optimum = self.fit.optimum
+        far = abs(point.values[self.index] - optimum.values[self.index])
+        self.goes_on &= (
+            _rise(point, optimum) < HIGHEST
+            and far < _FARTHEST * self.fit.typical[self.index]
+            and len(self.points) < _MOST_POINTS
+        )
+        self.step *= _GROWTH
+
+    def end_of_interval(self) -> float:
+        """The value at which chi squared has risen by `INTERVAL`, between two points;
+        the last value if it has not risen by so much."""
+        value = float(self.fit.optimum.values[self.index])
+        root = 0.0
+        for point in self.points:
+            next_value = float(point.values[self.index])
+            rise = _rise(point, self.fit.optimum)
+            next_root = math.sqrt(max(rise, 0.0))
+            if rise >= INTERVAL:
+                share = (math.sqrt(INTERVAL) - root) / (next_root - root)
+                return value + share * (next_value - value)
+            value = next_value
+            root = next_root
+        return value
+
+
 def follow(fits: Sequence[Followed], refit: Refit) -> list[Ridge]:
     """Follow the ridges of fits, those of all fits and parameters side by side."""
     sides = []
     for number, fit in enumerate(fits):
         for index, stderr in fit.stderr.items():
             step = min(stderr, _FIRST_STEP * fit.typical[index])
-            for sign in (-1.0, 1.0):
-                side = _Side(
-                    hold_of=(number, index),
-                    sign=sign,
-                    step=step,
-                    optimum=fit.optimum,
-                    lower=np.array(fit.lower),
-                    upper=np.array(fit.upper),
-                    typical=fit.typical,
-                )
-                sides.append(side)
+            sides.append(_Side(number, fit, index, -step))
+            sides.append(_Side(number, fit, index, step))
     going = sides
     while going:
         points = refit([side.next_hold() for side in going])
@@ -273,31 +273,31 @@ def follow(fits: Sequence[Followed], refit: Refit) -> list[Ridge]:
             side.add(point)
         going = [side for side in going if side.goes_on]
     return [
-        _ridge(fit, [side for side in sides if side.hold_of[0] == number])
+        _ridge(fit, [side for side in sides if side.number == number])
         for number, fit in enumerate(fits)
     ]
 
 
 def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
     """The points of all sides of a fit that fit about as well as the optimum."""
-    points = [point for side in sides for point in side.points]
-    rises = np.array([_rise(point, fit.optimum) for point in points])
-    in_interval = [
-        point for point, rise in zip(points, rises, strict=True) if rise <= INTERVAL
-    ]
+    points = []
+    rises = []
     ends: dict[int, list[float]] = {}
     for side in sides:
-        index = side.hold_of[1]
-        ends.setdefault(index, []).append(side.end_of_interval())
+        ends.setdefault(side.index, []).append(side.end_of_interval())
+        for point in side.points:
+            rise = _rise(point, fit.optimum)
+            if rise <= HIGHEST:
+                points.append(point)
+                rises.append(rise)
     intervals = {}
     for index, values in ends.items():
         # Values that another parameter leads to count as well.
-        values += [float(point.values[index]) for point in in_interval]
+        for point, rise in zip(points, rises, strict=True):
+            if rise <= INTERVAL:
+                values.append(float(point.values[index]))
         intervals[index] = (min(values), max(values))
-    near = rises <= HIGHEST
-    return Ridge(
-        fit.optimum, tuple(itertools.compress(points, near)), rises[near], intervals
-    )
+    return Ridge(fit.optimum, tuple(points), np.array(rises), intervals)
 
 
 def _rise(point: Point, optimum: Point) -> float:

@@ -4,7 +4,7 @@ fits that follow the first, to those that may fit equally.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -33,13 +33,24 @@ from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 
-_SAME_START = 1e-3  # typical sizes within which initial values are the same
-_FACTORS = 1.0, 0.3, 3.0  # on the usual coefficients, for other initial values
-_ROUNDING = 1e-9  # share of chi squared by which one optimum is not better than another
-_EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
-_APART = 9.0  # ... if the linearized problem expects this much of their distance
-_POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
-_MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
+_SAME_START = 1e-3
+"""Typical sizes within which initial values are the same."""
+_FACTORS = (1.0, 0.3, 3.0)
+"""On the usual coefficients, for other initial values."""
+_ROUNDING = 1e-9
+"""Share of chi squared by which one optimum is not better than another."""
+_EQUAL = 4.0
+"""Chi squared within which optima fit equally: two standard deviations ..."""
+_APART = 9.0
+"""... if the linearized problem expects this much of their distance."""
+_OVER_POLYNOMIAL = 3.0
+"""Times the rms about a polynomial, above which the rms of a fit is poor ..."""
+_OVER_RANGE = 0.02
+"""... if it is above this share of the range of the data too."""
+_FEWEST = 3
+"""Values of a channel from which its rms is judged."""
+_MOST_REST_SEARCHES = 20
+"""Each moves the rest by up to eight rows."""
 
 
 def fitted(stack: ThrowStack) -> list[LeastSquaresFit | CurlfitError]:
@@ -99,34 +110,41 @@ class _Search:
         return stacked([self.optima[row][0] for row in throws])
 
     def _reached(
-        self, starts: Sequence[Sequence[Floats]], tasks: Tasks | None = None
-    ) -> list[list[Solution]]:
-        """What is reached from some initial values of each throw; the tasks may have
-        other bounds."""
-        reached: list[list[Solution]] = [[] for _ in starts]
-        counts = [len(of_throw) for of_throw in starts]
-        if not any(counts):
-            return reached
-        rows = np.repeat(np.arange(len(starts)), counts)  # throw of each start
-        values = np.concatenate([of_throw for of_throw in starts if of_throw])
-        tasks = (self.tasks if tasks is None else tasks).at(rows)
-        solutions = minimize_many(
-            self.stack.model, tasks._replace(start=values), self.stack.batch
-        )
+        self, starts: Mapping[int, list[Floats]], tasks: Tasks | None = None
+    ) -> dict[int, list[Solution]]:
+        """What is reached from initial values of throws, both by row; throws without
+        initial values are left out.
+
+        Parameters
+        ----------
+        tasks : those of the search, with other bounds; as they are by default.
+        """
+        rows = []
+        values = []
+        for row, starts_of_throw in starts.items():
+            for start in starts_of_throw:
+                rows.append(row)
+                values.append(start)
+        if not rows:
+            return {}
+        tasks = (self.tasks if tasks is None else tasks).at(np.array(rows))
+        tasks = tasks._replace(start=np.array(values))
+        solutions = minimize_many(self.stack.model, tasks, self.stack.batch)
+        reached: dict[int, list[Solution]] = {}
         for row, solution in zip(rows, unstacked(solutions), strict=True):
-            reached[row].append(solution)
+            reached.setdefault(row, []).append(solution)
         return reached
 
     def _tried(self) -> list[list[Solution]]:
         """What is reached from the initial values of each throw: from those that may
         fit equally, and from all others where the best of these is poor."""
         law = self.stack.model.law
-        first_starts = []
-        other_starts = []
+        first_starts = {}
+        other_starts = {}
         for row, request in enumerate(self.stack.requests):
-            bounds = self.tasks.lower[row], self.tasks.upper[row]
-            first, others = _starts_to_try(
-                law, self._sides[:, row], bounds, self.tasks.typical
+            first = _distinct(self._sides[:, row], self.tasks.typical)
+            others = _with_usual_coefficients(
+                law, first[0], self.tasks.lower[row], self.tasks.upper[row]
             )
             if request.start:
                 given = request.with_given_start(first[0])
@@ -135,33 +153,31 @@ class _Search:
                     first = [given]
                 else:
                     first = [given, *first]
-            first_starts.append(first)
-            other_starts.append(others)
+            first_starts[row] = first
+            other_starts[row] = others
         tried = self._reached(first_starts)
         best = stacked(
-            [(_best_first(solutions) or solutions)[0] for solutions in tried]
+            [(_best_first(solutions) or solutions)[0] for solutions in tried.values()]
         )
         # If the first optimum is poor, all are tried: a later one may be local
         # and look good.
-        poor = _needs_restart(best, self._paths, self.stack.problems)
-        restarts = [
-            others if is_poor else []
-            for others, is_poor in zip(other_starts, poor, strict=True)
-        ]
-        reached = self._reached(restarts)
-        return [before + later for before, later in zip(tried, reached, strict=True)]
+        poor = np.flatnonzero(_needs_restart(best, self._paths, self.stack.problems))
+        restarts = {row: other_starts[row] for row in poor.tolist()}
+        for row, solutions in self._reached(restarts).items():
+            tried[row] += solutions
+        return list(tried.values())
 
     def _solve_again(self, throws: Indices) -> None:
         """Solve the revised problems of some throws from their optima, which stay where
         a path then is not finite."""
-        starts: list[list[Floats]] = [[] for _ in self.optima]
-        for row in throws:
-            starts[row] = [optimum.values for optimum in self.optima[row]]
-        reached = self._reached(starts)
-        for optima_of_throw, refits in zip(self.optima, reached, strict=True):
-            for number, refitted in enumerate(refits):
-                if np.isfinite(refitted.chi_squared):
-                    optima_of_throw[number] = refitted
+        starts = {
+            row: [optimum.values for optimum in self.optima[row]]
+            for row in throws.tolist()
+        }
+        for row, solutions in self._reached(starts).items():
+            for number, solution in enumerate(solutions):
+                if np.isfinite(solution.chi_squared):
+                    self.optima[row][number] = solution
 
     def _search_other_rests(self) -> None:
         """Search on with the rest of the stone in other rows of a measured spin, as
@@ -180,7 +196,7 @@ class _Search:
             and not self.stack.noises[row].sizes
         ]
         for _ in range(_MOST_REST_SEARCHES):
-            starts: list[list[Floats]] = [[] for _ in self.optima]
+            starts = {}
             for row in due:
                 starts[row] = starts_with_other_rests(
                     self.stack.model,
@@ -190,18 +206,14 @@ class _Search:
                     tasks.upper[row],
                     tasks.typical,
                 )
-            if not any(starts):
-                return
-            reached = self._reached(starts)
             due = []
-            for row, optima_of_throw in enumerate(self.optima):
-                if reached[row]:
-                    before = optima_of_throw[0]
-                    optima_of_throw[:] = _best_and_rival(
-                        [*optima_of_throw, *reached[row]]
-                    )
-                    if optima_of_throw[0] is not before:
-                        due.append(row)
+            for row, solutions in self._reached(starts).items():
+                best = self.optima[row][0]
+                self.optima[row] = _best_and_rival([*self.optima[row], *solutions])
+                if self.optima[row][0] is not best:
+                    due.append(row)
+            if not due:
+                return
 
     def _settle(self) -> None:
         """End searches that have not ended, since along some direction chi squared is
@@ -210,7 +222,7 @@ class _Search:
         lower = np.array(self.tasks.lower)
         upper = np.array(self.tasks.upper)
         typical = self.tasks.typical
-        starts: list[list[Floats]] = [[] for _ in self.optima]
+        starts = {}
         for row, optima_of_throw in enumerate(self.optima):
             if not optima_of_throw or optima_of_throw[0].success:
                 continue
@@ -224,10 +236,9 @@ class _Search:
             upper[row, levellest] = best.values[levellest]
             starts[row] = [best.values]
         held = self.tasks._replace(lower=lower, upper=upper)
-        settled = self._reached(starts, held)
-        for optima_of_throw, ends in zip(self.optima, settled, strict=True):
-            if ends and ends[0].objective <= optima_of_throw[0].objective:
-                optima_of_throw[0] = ends[0]
+        for row, (settled,) in self._reached(starts, held).items():
+            if settled.objective <= self.optima[row][0].objective:
+                self.optima[row][0] = settled
 
     def _add_usual(self) -> None:
         """Where coefficients went astray, add the optimum with their defaults, which
@@ -236,7 +247,7 @@ class _Search:
         lower = np.array(self.tasks.lower)
         upper = np.array(self.tasks.upper)
         law = self.stack.model.law
-        starts: list[list[Floats]] = [[] for _ in self.optima]
+        starts = {}
         for row, optima_of_throw in enumerate(self.optima):
             if not optima_of_throw:
                 continue
@@ -248,9 +259,8 @@ class _Search:
                 lower[row, astray] = usual[astray]
                 upper[row, astray] = usual[astray]
         held = self.tasks._replace(lower=lower, upper=upper)
-        reached = self._reached(starts, held)
-        for optima_of_throw, usual_optima in zip(self.optima, reached, strict=True):
-            optima_of_throw += usual_optima
+        for row, solutions in self._reached(starts, held).items():
+            self.optima[row] += solutions
 
     def _outcome(self, row: int, tried: int) -> LeastSquaresFit | CurlfitError:
         """The fit of a throw from its optimum, and one that may fit equally; an error
@@ -263,29 +273,34 @@ class _Search:
                 "path from any start" + no_motion_because(model.load)
             )
         best, *others = self.optima[row]
-        rivals = [other for other in others if _fits_equally(best, other)]
-        rival = rivals[0] if rivals else None
-        return self.stack.record(row, best, tried, rival)
+        return self.stack.record(row, best, tried, _rival(best, others))
 
 
-def _starts_to_try(
-    law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
-) -> tuple[list[Floats], list[Floats]]:
-    """Initial values of which all are to be tried, since they may fit
-    equally, and others.
-
-    `sides` are those of a throw, from `start_values_of_sides`.
-    """
-    apart: list[Floats] = []
+def _distinct(sides: Floats, typical: Floats) -> list[Floats]:
+    """Initial values of a throw on all sides that may fit equally, each once; sides
+    have the shape (sides, parameters)."""
+    distinct: list[Floats] = []
     for values in sides:
-        away = [np.abs(values - other) > _SAME_START * typical for other in apart]
-        if all(differs.any() for differs in away):
-            apart.append(values)
+        if all(
+            (np.abs(values - other) > _SAME_START * typical).any() for other in distinct
+        ):
+            distinct.append(values)
+    return distinct
+
+
+def _with_usual_coefficients(
+    law: type[Law], values: Floats, lower: Floats, upper: Floats
+) -> list[Floats]:
+    """Initial values with the usual coefficients of a law, and with smaller and larger
+    ones, in place of its own."""
     coefficients = law.coefficients()
     usual = np.array([default_guess(coefficient) for coefficient in coefficients])
-    others = np.array([apart[0]] * len(_FACTORS))
-    others[:, : len(usual)] = np.outer(_FACTORS, usual)
-    return apart, [*np.clip(others, *bounds)]
+    starts = []
+    for factor in _FACTORS:
+        start = values.copy()
+        start[: len(usual)] = factor * usual
+        starts.append(np.clip(start, lower, upper))
+    return starts
 
 
 def _best_first(solutions: Iterable[Solution]) -> list[Solution]:
@@ -295,11 +310,10 @@ def _best_first(solutions: Iterable[Solution]) -> list[Solution]:
     for solution in solutions:
         if not np.isfinite(solution.chi_squared):
             continue
-        is_better = (
-            bool(ordered)
-            and solution.objective < (1 - _ROUNDING) * ordered[0].objective
-        )
-        ordered.insert(0 if is_better else len(ordered), solution)
+        if ordered and solution.objective < (1 - _ROUNDING) * ordered[0].objective:
+            ordered.insert(0, solution)
+        else:
+            ordered.append(solution)
     return ordered
 
 
@@ -310,8 +324,13 @@ def _best_and_rival(solutions: Iterable[Solution]) -> list[Solution]:
     if not best_and_others:
         return []
     best, *others = best_and_others
-    rivals = [other for other in others if _fits_equally(best, other)]
-    return [best, *rivals[:1]]
+    rival = _rival(best, others)
+    return [best] if rival is None else [best, rival]
+
+
+def _rival(best: Solution, others: Iterable[Solution]) -> Solution | None:
+    """The first other optimum that fits as well as the best; None without one."""
+    return next((other for other in others if _fits_equally(best, other)), None)
 
 
 def _fits_equally(best: Solution, other: Solution) -> bool:
@@ -329,7 +348,7 @@ def _needs_restart(
     solutions: Solution, paths: SmoothPath, problems: Problem
 ) -> Booleans:
     """Which of many optima are so poor that other initial values are worth trying."""
-    observed = problems.observed[:, :3]
+    observed = problems.observed[:, :3]  # x, y and the angle
     weight = problems.weight[:, :3]
     is_seen = weight > 0
     count = is_seen.sum(-1)
@@ -337,9 +356,8 @@ def _needs_restart(
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
     highest = np.where(is_seen, observed, -np.inf).max(-1)
     lowest = np.where(is_seen, observed, np.inf).min(-1)
-    over_polynomial, over_range = _POOR
-    is_poor = (rms > over_polynomial * paths.rms[:, :3]) & (
-        rms > over_range * (highest - lowest)
-    )
-    ended = solutions.success & np.isfinite(solutions.chi_squared)
-    return ~np.asarray(ended) | (is_poor & (count >= 3)).any(-1)
+    is_rougher = rms > _OVER_POLYNOMIAL * paths.rms[:, :3]
+    is_large = rms > _OVER_RANGE * (highest - lowest)
+    is_poor = (is_rougher & is_large & (count >= _FEWEST)).any(-1)
+    has_ended = solutions.success & np.isfinite(solutions.chi_squared)
+    return ~np.asarray(has_ended) | is_poor

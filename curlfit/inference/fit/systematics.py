@@ -37,9 +37,10 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements
 
-# index of the spin among the parameters, from the last
 _SPIN = [parameter.name for parameter in START].index("omega0") - len(START)
-_STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
+"""Index of the spin among the parameters, from the last."""
+_STEP = 1e-2
+"""Of a width, of differences: the path is accurate to 1e-7 of it."""
 
 
 def widths_of(
@@ -66,8 +67,12 @@ def widths_of(
     given = dict(given or {})
     check_systematics(given)
     for_all = given.pop(ALL, None)
-    widths = dict(WIDTHS) if for_all is None else dict.fromkeys(WIDTHS, for_all)
-    of_calibration = given.pop(CALIBRATION, 1.0 if for_all is None else for_all)
+    widths = dict(WIDTHS)
+    of_calibration = 1.0
+    if for_all is not None:
+        widths = dict.fromkeys(WIDTHS, for_all)
+        of_calibration = for_all
+    of_calibration = given.pop(CALIBRATION, of_calibration)
     widths.update(given)
     errors = _calibrations(requests, jointly=jointly).shape[1]
     for number in range(errors):
@@ -91,26 +96,23 @@ def _calibrations(requests: Sequence[Request], *, jointly: bool = False) -> Floa
     Throws that are fitted `jointly` share the errors of a calibration, and each of
     several calibrations has its own.
     """
-    by_throw = [request.throw.calibration for request in requests]
+    by_row: dict[int, Floats] = {}
+    for row, request in enumerate(requests):
+        if request.throw.calibration is not None:
+            by_row[row] = request.throw.calibration
     distinct: list[Floats] = []
-    numbers = [0] * len(requests)  # of the calibration among the distinct ones
-    if jointly:
-        for row, calibration in enumerate(by_throw):
-            if calibration is None:
-                continue
+    numbers = {}  # of the calibration of each throw among the distinct ones
+    for row, calibration in by_row.items():
+        numbers[row] = 0
+        if jointly:
             same = [np.array_equal(calibration, other) for other in distinct]
             if not any(same):
                 distinct.append(calibration)
                 same.append(True)
             numbers[row] = same.index(True)
-    most = max(
-        (len(calibration) for calibration in by_throw if calibration is not None),
-        default=0,
-    )
+    most = max(map(len, by_row.values()), default=0)
     errors = np.zeros((len(requests), most * max(len(distinct), 1), 3, 3))
-    for row, calibration in enumerate(by_throw):
-        if calibration is None:
-            continue
+    for row, calibration in by_row.items():
         first = most * numbers[row]
         errors[row, first : first + len(calibration)] = calibration
     return errors
@@ -171,19 +173,23 @@ def residual_changes(
         changes[UNKNOWN_SPIN.name] = (turning - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight
     root_slope = loss_at(problems.loss.max()).root_slope(residual)
-    weighted_changes = {}
-    for name, change in changes.items():
-        weighted = change * problems.weight
-        if problems.whitener is not None:
-            whiteners = unstacked(problems.whitener)
-            weighted = np.array(
-                [
-                    whitened(of_throw, whitener)
-                    for of_throw, whitener in zip(weighted, whiteners, strict=True)
-                ]
-            )
-        weighted_changes[name] = weighted * root_slope
-    return weighted_changes
+    return {
+        name: _whitened(change * problems.weight, problems) * root_slope
+        for name, change in changes.items()
+    }
+
+
+def _whitened(weighted: Floats, problems: Problem) -> Floats:
+    """Weighted changes of many throws, whitened where their noise is correlated."""
+    if problems.whitener is None:
+        return weighted
+    whiteners = unstacked(problems.whitener)
+    return np.array(
+        [
+            whitened(of_throw, whitener)
+            for of_throw, whitener in zip(weighted, whiteners, strict=True)
+        ]
+    )
 
 
 def _measured(

@@ -27,8 +27,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import at, stacked, unstacked
 from curlfit.throws.throw import CHANNELS, Throw
 
-# factor on the usual coefficients, or one over it, within which a rough path tells them
 _ROUGHLY = 4.0
+"""Factor on the usual coefficients, or one over it, within which a rough path tells
+them."""
 
 
 class ThrowStack:
@@ -37,7 +38,7 @@ class ThrowStack:
 
     Attributes
     ----------
-    problems : of the next fit. initial_problems : the same for the initial values.
+    problems : of the next fit.
     unknown : of each throw and channel, whether its sigma is estimated.
     sigma : of each throw and channel, the smallest where it varies by row; 0 where the
         throw gives its own.
@@ -65,44 +66,19 @@ class ThrowStack:
         ------
         InputError : the noise is that of rows, and a throw has timed events too.
         """
-        loss = requests[0].loss
-        noise = requests[0].noise
-        if not noise.is_white:
-            for request in requests:
-                if request.throw.events and request.throw.has_path:
-                    raise InputError(
-                        f"{request.throw.name}: noise {noise.kind} is that of rows, "
-                        "and this throw has timed events beside its path; "
-                        "fit the path alone, or with white noise"
-                    )
-        noise = type(noise)()  # not estimated
         self.model = model
         self.requests = requests
         self.batch = batch
-        self.loss = loss
-        equal_sigmas = [request.equal_sigma() for request in requests]
+        self.loss = requests[0].loss
+        kind_of_noise = type(requests[0].noise)
+        self.noises = [kind_of_noise()] * len(requests)  # not estimated
         throws = [request.throw for request in requests]
-        self.problems = _problems(requests, throws, equal_sigmas, shape)
-        self.initial_problems = self.problems
-        if not noise.is_white:
-            # Until the noise is estimated, these change nothing.
-            whiteners = [
-                Whitener.of(noise, times, weight, len(requests[0].parameters))
-                for times, weight in zip(
-                    self.problems.times, self.problems.weight, strict=True
-                )
-            ]
-            self.problems = self.problems._replace(whitener=stacked(whiteners))
-        if self.problems.events is not None:
-            # Initial values do without events; a throw with nothing else needs
-            # a rough path.
-            self.initial_problems = _problems(
-                requests,
-                [throw.sketched() for throw in throws],
-                equal_sigmas,
-                (len(CHANNELS), self.problems.times.shape[-1]),
-            )
+        self.problems = _problems(requests, throws, shape)
+        if not self.noises[0].is_white:
+            _require_rows_alone(requests)
+            self.problems = _with_whitening_to_come(self.problems, requests)
         self.channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
+        equal_sigmas = [request.equal_sigma() for request in requests]
         self.unknown = np.array(
             [[name in sigma for name in self.channels] for sigma in equal_sigmas]
         )
@@ -110,27 +86,42 @@ class ThrowStack:
             [[sigma.get(name, 0.0) for name in self.channels] for sigma in equal_sigmas]
         )
         self.free = np.stack([request.parameters.free for request in requests])
-        self.noises = [noise] * len(requests)
         self.failures: dict[int, InputError] = {}
 
     def starts(self) -> tuple[SmoothPath, Floats]:
         """Smooth paths, and initial values on all sides that may fit equally, with
-        their shapes as of `start_values_of_sides`. The rough path of a throw that has
-        none tells the size of coefficients, but no exponent and no sign: without
+        their shapes as of `start_values_of_sides`."""
+        problems = self._problems_for_starts()
+        paths = smooth(problems)
+        lower, upper = self._bounds_for_starts()
+        sides = start_values_of_sides(
+            self.model, problems, paths, lower, upper, batch=self.batch
+        )
+        return paths, sides
+
+    def _problems_for_starts(self) -> Problem:
+        """The problems without events and whitening, of which initial values make no
+        use: a throw of events alone has a rough path in their place."""
+        if self.problems.events is None:
+            return self.problems._replace(whitener=None)
+        sketches = [request.throw.sketched() for request in self.requests]
+        shape = (len(CHANNELS), self.problems.times.shape[-1])
+        return _problems(self.requests, sketches, shape)
+
+    def _bounds_for_starts(self) -> tuple[Floats, Floats]:
+        """Bounds of the initial values of each throw. The rough path of a throw that
+        has none tells the size of coefficients, but no exponent and no sign: without
         friction a stone would never rest."""
-        paths = smooth(self.initial_problems)
         lower, upper = bounds_of(self.requests)
-        rough = np.array([not request.throw.has_path for request in self.requests])
+        is_rough = np.array([not request.throw.has_path for request in self.requests])
         for index, coefficient in enumerate(self.model.law.coefficients()):
             usual = default_guess(coefficient)
             factor = 1.0 if coefficient.signed else _ROUGHLY
-            low = lower[rough, index]
-            high = upper[rough, index]
-            lower[rough, index] = np.clip(usual / factor, low, high)
-            upper[rough, index] = np.clip(usual * factor, low, high)
-        return paths, start_values_of_sides(
-            self.model, self.initial_problems, paths, lower, upper, batch=self.batch
-        )
+            low = lower[is_rough, index]
+            high = upper[is_rough, index]
+            lower[is_rough, index] = np.clip(usual / factor, low, high)
+            upper[is_rough, index] = np.clip(usual * factor, low, high)
+        return lower, upper
 
     def problems_of(self, throws: Indices) -> Problem:
         """The problems of some throws, by index."""
@@ -188,13 +179,25 @@ class ThrowStack:
         )
 
 
+def _require_rows_alone(requests: Sequence[Request]) -> None:
+    """Raise `InputError` for a throw with timed events beside its path: correlated
+    noise is that of rows."""
+    for request in requests:
+        if request.throw.events and request.throw.has_path:
+            raise InputError(
+                f"{request.throw.name}: noise {request.noise.kind} is that of rows, "
+                "and this throw has timed events beside its path; "
+                "fit the path alone, or with white noise"
+            )
+
+
 def _problems(
     requests: Sequence[Request],
     throws: Sequence[Throw],
-    sigmas: Sequence[dict[str, float]],
     shape: tuple[int, int] | None,
 ) -> Problem:
-    """The problems of throws along the first axis, with these sigmas by channel.
+    """The problems of throws along the first axis, with equal sigmas of the channels
+    for which none is given.
 
     Parameters
     ----------
@@ -204,13 +207,25 @@ def _problems(
         build_problem(
             throw,
             request.stone,
-            sigma,
+            request.equal_sigma(),
             swept=request.swept,
             shape=shape,
         )
-        for request, throw, sigma in zip(requests, throws, sigmas, strict=True)
+        for request, throw in zip(requests, throws, strict=True)
     ]
     return stacked(problems)
+
+
+def _with_whitening_to_come(problems: Problem, requests: Sequence[Request]) -> Problem:
+    """Problems with whitening that changes nothing until the noise is estimated."""
+    whiteners = []
+    for request, times, weight in zip(
+        requests, problems.times, problems.weight, strict=True
+    ):
+        not_estimated = type(request.noise)()
+        parameters = len(request.parameters)
+        whiteners.append(Whitener.of(not_estimated, times, weight, parameters))
+    return problems._replace(whitener=stacked(whiteners))
 
 
 def first_problem(request: Request) -> tuple[Model, ParameterSet, Problem]:

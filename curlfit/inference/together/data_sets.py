@@ -8,7 +8,6 @@ family. A table of friction takes the place of a throw whose initial state is fi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -343,15 +342,14 @@ class LawOnSets:
         covariance : of the coefficients to first order, at the optimum.
         """
         indices = np.flatnonzero(self.common).tolist()
-        departing = []
+        probes = []
         for probe in probes_about(covariance):
             start = np.array(optimum.values)
             start[:, self.common] = probe.point
             refitted = self.optimum(self._every, start, weight, indices)
             rise = float((refitted.chi_squared - optimum.chi_squared).sum())
-            if probe.departs(rise if math.isfinite(rise) else math.inf):
-                departing.append(probe)
-        held = to_be_held(covariance, departing, len(indices))
+            probes.append(probe.with_rise(rise))
+        held = to_be_held(covariance, probes, len(indices))
         if not held:
             return NO_DEPARTURES
         return self.departures(covariance, optimum, self._every, weight, held)
