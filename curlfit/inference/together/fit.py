@@ -419,14 +419,13 @@ def _varying(
         # tracks know their coefficients better than these vary: Student's t is exact
         if not any(request.throw.has_path for request in together.stack.requests):
             of_others = drawn_for_others(population.fit, guess, draws)
-    ridges = None if ridge is None else lambda _: ridge.of_throws
     throws = [
         replace(
             with_untold(throw, untold),
             systematics=_without(of_equal.systematics, untold),
         )
         for throw, of_equal in zip(
-            _summarized(together, solution, others=others, ridges=ridges),
+            _summarized(together, solution, others=others),
             equal.result.throws,
             strict=True,
         )
