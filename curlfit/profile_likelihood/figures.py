@@ -91,11 +91,11 @@ def _chi_squared(profile: Profile, axes: Axes) -> None:
     plot(axes, Series(at, profile.delta, _PROFILE, "profile"))
     if posterior is not None:
         density = Series(
-            posterior["at"],
-            posterior["height"],
+            posterior.at,
+            posterior.height,
             _POSTERIOR,
             r"posterior, $-2\,\ln$ density",
-            sigma=posterior["error"],
+            sigma=posterior.error,
         )
         plot(axes, density)
     axes.plot(

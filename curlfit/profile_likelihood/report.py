@@ -29,13 +29,17 @@ from curlfit.wording import compact, format_estimate, from_to, join_words, two_d
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _EXACT = 1e-9  # of chi squared: rounding errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
-_VERDICTS = {
-    ProfileVerdict.LIMITED: ("limited by the data", ""),
-    ProfileVerdict.HARDLY: ("weakly determined", STYLE["weak"]),
-    ProfileVerdict.FLAT: ("not identifiable", STYLE["not identifiable"]),
-    ProfileVerdict.NARROW: ("unclear, for the range is too narrow", STYLE["weak"]),
+_VERDICT_WORDS = {
+    ProfileVerdict.LIMITED: "limited by the data",
+    ProfileVerdict.HARDLY: "weakly determined",
+    ProfileVerdict.FLAT: "not identifiable",
+    ProfileVerdict.NARROW: "unclear, for the range is too narrow",
 }
-"""What each verdict says, and its style."""
+_VERDICT_STYLES = {
+    ProfileVerdict.HARDLY: STYLE["weak"],
+    ProfileVerdict.FLAT: STYLE["not identifiable"],
+    ProfileVerdict.NARROW: STYLE["weak"],
+}
 
 
 def print_profile(
@@ -67,14 +71,14 @@ def document(profile: Profile | PairProfile) -> Document:
                 remarks += _limits(single)
         else:
             lines.append(describe_undetermined(single))
-            remarks.append(Said(lines[-1], style=_VERDICTS[single.verdict][1]))
+            remarks.append(Said(lines[-1], style=_VERDICT_STYLES[single.verdict]))
     file = first.data.file
     loss = LOSSES[first.loss].suffix
     fitted = f"{first.law} law, {first.load} load{loss}, fitted to {file}"
     warnings = [warning for single in profile.each for warning in single.warnings]
     return Document(
         finding=", ".join(
-            f"{single.name} {_VERDICTS[single.verdict][0]}" for single in profile.each
+            f"{single.name} {_VERDICT_WORDS[single.verdict]}" for single in profile.each
         ),
         subject=fitted,
         headline=Text.assemble(
