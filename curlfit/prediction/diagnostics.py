@@ -30,6 +30,10 @@ MOST_ROWS = 2000
 # of the fitted range of speed or spin, beyond which a warning is given
 _EXTRAPOLATION = 1.02
 _SHORTEST_END = 0.01  # m below the fitted speeds, up to which no warning is given
+# Rows of the fitted throw differ from those fitted by less than a number of times the
+# rms of its residuals plus a part of its range.
+_SAME_BY_RMS = 10.0
+_SAME_BY_RANGE = 0.05
 _UNSEEN = 1e-5  # m; no camera sees smaller effects
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
@@ -259,7 +263,8 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
             continue
         measured = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
         error = np.abs(measured - fit.observed[name])
-        largest = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        extent = float(np.ptp(fit.fitted[name]))
+        largest = _SAME_BY_RMS * fit.rms[name] + _SAME_BY_RANGE * extent
         if not np.isfinite(error).any() or np.nanmedian(error) > largest:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data.file}): "

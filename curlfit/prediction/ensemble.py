@@ -353,10 +353,10 @@ def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
     hog_to_tee_line = TEE - hog
     weights = []
     for name, y in _PLACES.items():
-        place = (0.0, TEE + y)
+        target = (0.0, TEE + y)
         try:
-            clockwise = aimed(fit, place, -spin, start=(0.0, hog))
-            counter_clockwise = aimed(fit, place, spin, start=(0.0, hog))
+            clockwise = aimed(fit, target, -spin, start=(0.0, hog))
+            counter_clockwise = aimed(fit, target, spin, start=(0.0, hog))
         except InputError:
             continue
         heading = counter_clockwise.heading

@@ -54,8 +54,11 @@ from curlfit.prediction.result import (
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
 
+_FEWEST_DRAWS = 100  # that can be asked for
 _ROUNDS = 200  # of draws, until enough are within the bounds
-_FEW = 100  # independent draws, below which the ends of a 95 % band are rough
+_FEW_INDEPENDENT = (
+    100  # independent draws, below which the ends of a 95 % band are rough
+)
 
 
 def predict(
@@ -221,8 +224,8 @@ def _require_predictable(fit: FitResult, draws: int) -> None:
                 f"{name} of this fit is not 1: measured lengths or times differ from "
                 "the true ones; use a fit of corrected data"
             )
-    if draws < 100:
-        raise InputError(f"{draws} draws: expected at least 100")
+    if draws < _FEWEST_DRAWS:
+        raise InputError(f"{draws} draws: expected at least {_FEWEST_DRAWS}")
 
 
 def held_out(
@@ -309,7 +312,7 @@ def _posterior_of_throw(
         return _Posterior(fit, samples[chosen], "chain", findings)
     if fit.ridge:
         values, independent = draws_along_ridge(fit, draws, random)
-        if independent < _FEW:
+        if independent < _FEW_INDEPENDENT:
             remedy = Remedy("sample-posterior")
             warning = Finding.warning("few-draws", remedy, draws=float(independent))
             findings = (*findings, warning)

@@ -62,6 +62,10 @@ _SOURCES = {
 }
 _STRAIGHT = 0.005
 """Curl in m, below which a path is called straight."""
+_ON = 0.005
+"""Distance in m, below which a stone is on a line: it rounds to 0.00 m."""
+_NO_CHANGE = 0.001
+"""Change of the resting position in m that is not told."""
 _ACROSS = ("rest_x", "rest_to_tee", "curl")
 """Quantities that a law without a curl says nothing of."""
 _ALONG = ("beyond", "before")
@@ -190,7 +194,7 @@ def describe_rest(prediction: Prediction) -> tuple[str, str]:
 def _offset(distance: float, sides: tuple[str, str]) -> str:
     """A distance in words, such as "0.25 m left of", or "on"; in m, positive and
     negative to either side."""
-    if abs(distance) < 0.005:
+    if abs(distance) < _ON:
         return "on"
     positive, negative = sides
     return f"{abs(distance):.2f} m {negative if distance < 0 else positive}"
@@ -400,10 +404,10 @@ def _sensitivity(prediction: Prediction) -> str:
         along = effect.along
         right = effect.right
         moves = []
-        if abs(along) >= 0.001:
+        if abs(along) >= _NO_CHANGE:
             way = "shorter" if along < 0 else "farther"
             moves.append(f"{abs(along):.2g} m {way}")
-        if abs(right) >= 0.001:
+        if abs(right) >= _NO_CHANGE:
             moves.append(f"{abs(right):.2g} m {_side(right)}")
         changes.append(f"{effect.by:.3g} {words}: {', '.join(moves) or 'no change'}")
     if not changes:

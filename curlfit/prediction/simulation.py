@@ -27,6 +27,8 @@ from curlfit.prediction.result import (
 from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
+_FEWEST_AT_REST = 0.5  # part of the draws, below which there is no prediction
+_NEARLY_ALL = 0.975  # part of the draws, at whose rest the series ends
 _SAMPLED = 60  # draws kept
 _SAMPLE_TIMES = 30  # of each draw kept
 _DIGITS = 4  # decimals of the draws kept: 0.1 mm
@@ -58,17 +60,20 @@ class Simulation(NamedTuple):
         throws: ThrowFamily,
         values: Floats,
         random: np.random.Generator,
-        call: Call | None = None,
+        joint_call: Call | None,
     ) -> Self:
-        """Simulate a throw for drawn parameter vectors; with a call, those of a joint
-        fit, which contain the error of the law.
+        """Simulate a throw for drawn parameter vectors.
+
+        `joint_call` is the call of a throw on the ice of a joint fit, whose draws
+        contain the error of the law. It is None on that of one throw: each draw is then
+        simulated again with missing accelerations.
 
         Raises
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
         fit = throws.fit
-        drawn = throws.with_start(values, call or CENTRED, random)
+        drawn = throws.with_start(values, joint_call or CENTRED, random)
         t = throws.times_to_rest(drawn)
         plain = throws.simulate(drawn, t)
         best = throws.simulate(throws.with_start(fit.values[None]), t)
@@ -84,14 +89,14 @@ class Simulation(NamedTuple):
             )
         full = plain
         discrepancy = None
-        if call is None:
+        if joint_call is None:
             posterior = discrepancy_posterior(fit)
             discrepancy = posterior.summary
             missing = posterior.draw(len(values), random)
             shifted = throws.with_start(posterior.shift_parameters(values, missing))
             full = missing.applied_to(throws.simulate(shifted, t), throws.spin_ratio)
         rests = plain.comes_to_rest & full.comes_to_rest
-        if rests.mean() < 0.5:
+        if rests.mean() < _FEWEST_AT_REST:
             raise UnusableFitError(
                 f"only {rests.mean():.0%} of the draws come to rest; "
                 "the fit is too uncertain for this throw"
@@ -131,7 +136,7 @@ class Simulation(NamedTuple):
         """The best path with its bands over time, until nearly all draws rest; `paths`
         are x, y, phi of the draws at `t`, shape (draws, 3, times)."""
         time_of_best = float(self.best.time_of_rest[0])
-        time_of_most = float(np.quantile(self.full.time_of_rest, 0.975))
+        time_of_most = float(np.quantile(self.full.time_of_rest, _NEARLY_ALL))
         last = int(np.searchsorted(self.t, max(time_of_best, time_of_most)))
         times = slice(min(last + 1, len(self.t)))
         x, y, phi, _, _, omega = self.best.state[0, :, times]

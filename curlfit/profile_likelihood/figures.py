@@ -138,7 +138,7 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
     if profile.verdict != ProfileVerdict.LIMITED:  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     at = profile.at[shown]
-    combined = {
+    in_combinations = {
         name for combination in profile.combinations for name in combination.weights
     }
     changes = {}
@@ -149,7 +149,7 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
             change = (series[shown] - estimate.value) / estimate.stderr
             if np.abs(change).max() > _MOVES:
                 changes[name] = change
-        elif name in combined:
+        elif name in in_combinations:
             values[name] = series[shown]
     symbols = {
         name: draw.symbol_of(profile.parameters[name]) for name in profile.others
