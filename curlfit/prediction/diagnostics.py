@@ -27,8 +27,7 @@ from curlfit.throws.throw import Throw
 
 MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
-# of the fitted range of speed or spin, beyond which a warning is given
-_EXTRAPOLATION = 1.02
+_EXTRAPOLATION = 1.02  # factor beyond the fitted speed or spin that gives a warning
 _SHORTEST_END = 0.01  # m below the fitted speeds, up to which no warning is given
 # Rows of the fitted throw differ from those fitted by less than a number of times the
 # rms of its residuals plus a part of its range.

@@ -141,8 +141,9 @@ def predict(
         in_turn, out_turn = predictions
         return replace(in_turn, other=out_turn)
     random = np.random.default_rng(seed)
-    joint = fit if isinstance(fit, JointResult) else None
+    joint: JointResult | None = None
     if isinstance(fit, JointResult):
+        joint = fit
         fit, values = another(fit, call.labels, draws, random)
         posterior = _Posterior(fit, values, "throws")
     else:
