@@ -547,5 +547,4 @@ def _covariance(fit: FitResult, names: Sequence[str]) -> Floats | None:
         without_error = fit.parameters[name].stderr is None
         if without_error or name not in fit.covariance.names:
             return None
-    rows = np.array([fit.first_order.vector({name: 1.0}) for name in names])
-    return np.asarray(rows @ fit.covariance.matrix @ rows.T)
+    return fit.covariance.among(names)
