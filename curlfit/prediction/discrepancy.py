@@ -123,7 +123,7 @@ class DiscrepancyPosterior:
         assert regression is not None
         # For each size: the Cholesky factor L of the precision of z, L^T times the mean
         # of z, and F of the amplitudes F z.
-        lower, white_mean, root = map(np.asarray, _posteriors(regression, GRID))
+        lower, white_mean, root = jax.device_get(_posteriors(regression, GRID))
         size = random.choice(len(GRID), draws, p=self._estimate.weights)
         factor = random.uniform(0.0, 2.0, (draws, 1))
         normal = random.standard_normal((draws, lower.shape[-1]))
@@ -176,19 +176,18 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     without = [log_likelihood[sizes == SIZES[0]].max() for sizes in GRID.T]
     excess = np.sqrt(2 * (log_likelihood.max() - without))
 
+    noise = {}
+    for name, scale, enough in zip(channels, estimated.scale, data.enough, strict=True):
+        if enough and name in fit.sigma:
+            noise[name] = float(fit.sigma[name] * scale)
+
     def by_component(values: Floats) -> dict[str, float]:
         return dict(zip(COMPONENTS, map(float, values), strict=True))
 
     summary = Discrepancy(
         sizes=by_component(np.sqrt(estimated.weights @ GRID**2) * responses.size),
         span=float(data.span),
-        noise={
-            name: float(fit.sigma[name] * scale)
-            for name, scale, enough in zip(
-                channels, estimated.scale, data.enough, strict=True
-            )
-            if enough and name in fit.sigma
-        },
+        noise=noise,
         excess=by_component(excess) if data.enough.any() else {},
         ceilings=by_component(responses.size),
         friction=responses.friction,
