@@ -23,7 +23,7 @@ FitInChunks = Callable[[Sequence[str]], Iterator[Rows]]
 """Fits files, and yields the rows of each chunk of them."""
 
 _MEGABYTE = 1 << 20
-_OF_WORKERS = {
+_WORKER_ENVIRONMENT = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -34,8 +34,8 @@ _OF_WORKERS = {
     "MALLOC_TRIM_THRESHOLD_": str(256 * _MEGABYTE),
     "MALLOC_TOP_PAD_": str(64 * _MEGABYTE),
 }
-_FEWEST = 64  # throws not worth dividing between two processes
-_SAMPLED = 16  # throws in a chunk if each is sampled, which takes seconds
+_SMALLEST_CHUNK = 64  # throws not worth dividing between two processes
+_SAMPLED_CHUNK = 16  # throws, if each is sampled, which takes seconds
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def executor(
         return
     from curlfit.numerics.processes import end_workers, worker_processes
 
-    for name, value in _OF_WORKERS.items():
+    for name, value in _WORKER_ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     with worker_processes(count) as pool:
         try:
@@ -109,10 +109,10 @@ def _chunks(
     files: Sequence[str], plan: BatchSettings, workers: int
 ) -> Iterator[Sequence[str]]:
     """The files in chunks, equally many for each worker."""
-    most = _SAMPLED if plan.posterior else CHUNK
-    rounds = math.ceil(len(files) / (most * workers))
-    size = math.ceil(len(files) / max(rounds * workers, 1))
-    size = max(size, min(most, _FEWEST))
+    largest = _SAMPLED_CHUNK if plan.posterior else CHUNK
+    chunks_of_worker = math.ceil(len(files) / (largest * workers))
+    size = math.ceil(len(files) / max(chunks_of_worker * workers, 1))
+    size = max(size, min(largest, _SMALLEST_CHUNK))
     return (files[first : first + size] for first in range(0, len(files), size))
 
 

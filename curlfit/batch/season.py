@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -92,41 +91,42 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         is no number.
     """
     plan = plan_of(settings_file(file), _AGAIN)
-    law_of_table = find_law(law) if law else _law_of(plan)
+    if law:
+        law_of_table = find_law(law)
+    else:  # a table must not make curlfit run a file
+        law_of_table = find_law(str(plan.get("law")), from_files=False)
     settings = BatchSettings.of(plan, law=law_of_table)
     if settings.priors:
         raise DataError(
             "priors of the batch would count once for each throw", file=file
         )
     coefficients = [coefficient.name for coefficient in law_of_table.coefficients()]
-    names_of_numbers = [
-        *coefficients,
-        *(parameter.name for parameter in START),
-        DURATION.name,
-    ]
+    names_of_start = [component.name for component in START]
+    names_of_numbers = [*coefficients, *names_of_start, DURATION.name]
     table = Table.find(TextFile.read(file), _is_header)
     index_by_name = table.sole(table.headings)
     for name in (*names_of_numbers, STATUS.name, INFORMATION.name, LABELS.name):
         if name not in index_by_name:
             raise table.error(f"no column {name}; {_AGAIN}")
-    written = set(names_of_columns(settings))
-    added = [name for name in index_by_name if name not in written]
+    names_of_batch = names_of_columns(settings)
+    added_names = [name for name in index_by_name if name not in names_of_batch]
     rows = [dict(zip(table.headings, cells, strict=True)) for cells in table.cells]
-    usable = [
-        number for number, row in enumerate(rows) if row[STATUS.name] == Status.OK
-    ]
+    usable = [index for index, row in enumerate(rows) if row[STATUS.name] == Status.OK]
+    usable_rows = [rows[index] for index in usable]
     if LEFT_OPEN.name not in index_by_name:
-        _require_quadratic([rows[number] for number in usable], file)
+        _require_quadratic(usable_rows, file)
     indices = [index_by_name[name] for name in names_of_numbers]
     numbers = np.column_stack(table.numbers(indices))[usable]
     _require_finite(table, numbers, usable)
-    information = np.array(
-        [
-            _information(table, number, rows[number][INFORMATION.name], coefficients)
-            for number in usable
-        ]
-    ).reshape(-1, 2, len(coefficients), len(coefficients) + 1)
     values, start, durations = np.split(numbers, [len(coefficients), -1], 1)
+    information = [
+        _information(table, index, rows[index][INFORMATION.name], len(coefficients))
+        for index in usable
+    ]
+    # of each throw the rows of information, then those along its ridge
+    information_rows = np.array(information).reshape(
+        -1, 2, len(coefficients), len(coefficients) + 1
+    )
     notes = [*table.findings]
     not_ok = len(rows) - len(usable)
     if not_ok:
@@ -136,23 +136,18 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         model=Model(law_of_table, settings.load),
         stone=Stone().with_values(dict(settings.stone)),
         labels=[
-            (f"{file} row {number + 1}", _labels(rows[number], added))
-            for number in usable
+            (f"{file} row {index + 1}", _labels(rows[index], added_names))
+            for index in usable
         ],
         values=values,
         start=start,
         durations=durations[:, 0],
-        coefficient_rows=information[:, 0],
+        coefficient_rows=information_rows[:, 0],
         notes=tuple(notes),
         conditions=tuple({*settings.parameter_set().conditions} - {"sweep"}),
-        stretched=information[:, 1],
-        left_open=tuple(_left_open(rows[number]) for number in usable),
+        stretched=information_rows[:, 1],
+        left_open=tuple(map(_left_open, usable_rows)),
     )
-
-
-def _law_of(plan: Mapping[str, Any]) -> type[Law]:
-    """The law that the settings of a table name, which is none of a file."""
-    return find_law(str(plan.get("law")), from_files=False)
 
 
 def _is_header(table: Table) -> bool:
@@ -180,17 +175,15 @@ def _require_finite(table: Table, numbers: Floats, usable: Sequence[int]) -> Non
         raise table.file.error("numbers that are not finite", row)
 
 
-def _information(
-    table: Table, number: int, cell: str, coefficients: Sequence[str]
-) -> list[float]:
-    """The rows of information of a throw, and those along a ridge, which are zeros
-    where it has none.
+def _information(table: Table, index: int, cell: str, coefficients: int) -> list[float]:
+    """The rows of information of a throw about so many coefficients, and those along
+    a ridge, which are zeros where it has none.
 
     Raises
     ------
     DataError : not as many finite numbers.
     """
-    size = len(coefficients) * (len(coefficients) + 1)
+    size = coefficients * (coefficients + 1)
     try:
         numbers = [float(text) for text in cell.strip("[]").split(",")]
     except ValueError:
@@ -198,7 +191,7 @@ def _information(
     if len(numbers) not in (size, 2 * size) or not np.isfinite(numbers).all():
         raise table.not_a(
             f"list of {size} finite numbers or twice as many",
-            number,
+            index,
             table.headings.index(INFORMATION.name),
         )
     return numbers + [0.0] * (2 * size - len(numbers))

@@ -12,7 +12,6 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
@@ -25,9 +24,9 @@ from curlfit.throws.readers.text import decoded
 from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
-_HEAD = re.compile(r'"?file"?[,;\t].*\bstone_index"?[,;\t].*\bstatus"?[,;\t]')
+_HEADER = re.compile(r'"?file"?[,;\t].*\bstone_index"?[,;\t].*\bstatus"?[,;\t]')
 """The first line, also of a table that a spreadsheet saved again."""
-_LONG = 4096
+_LONGEST_HEADER = 4096  # bytes that are searched for it
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
 
@@ -54,7 +53,7 @@ def is_table_of_batch(file: Path) -> bool:
         return False
     try:
         with file.open("rb") as stream:
-            return _HEAD.match(decoded(stream.read(_LONG))) is not None
+            return _HEADER.match(decoded(stream.read(_LONGEST_HEADER))) is not None
     except OSError:
         return False
 
@@ -116,39 +115,43 @@ class GrowingTable:
         self.odd: list[str] = []
         self.settings = settings_file(file)
         try:
-            with ExitStack() as opened:
-                done = self._open(plain(dict(plan)), files, opened, again=again)
-                opened.pop_all()
+            recorded = None
+            if self.settings.exists():
+                recorded = plan_of(self.settings, _OTHERWISE)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self.stream = file.open("ab")
+            try:
+                done = self._continue_or_begin(
+                    plain(dict(plan)), recorded, files, again=again
+                )
+            except BaseException:
+                self.stream.close()
+                raise
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
         self.todo = [name for name in files if csv_cell(name) not in done]
 
-    def _open(
+    def _continue_or_begin(
         self,
         settings: dict[str, Any],
+        recorded: dict[str, Any] | None,
         files: Sequence[str],
-        opened: ExitStack,
         *,
         again: bool,
     ) -> set[str]:
-        """Open the file, read its complete rows and cut off what follows, or begin it
+        """Read the complete rows of the table and cut off what follows, or begin it
         anew; returns the files that are done."""
-        before = None
-        if self.settings.exists():
-            before = plan_of(self.settings, _OTHERWISE)
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        self.stream = opened.enter_context(self.file.open("ab"))
         if not locked(self.stream.fileno()):
             raise InputError(
                 f"{self.file}: another `{_MAKER}` is writing this table; name "
                 "another with --out, or wait for its end"
             )
-        head = csv_lines([self.columns])
+        header = csv_lines([self.columns])
         text = self.file.read_bytes().decode(errors="surrogateescape")
         # a kill while the header was written leaves a part of it
-        if not again and not head.startswith(text):
-            self._require_own(text, head, before, settings)
-            size, done = self._read(text, files)
+        if not again and not header.startswith(text):
+            self._require_own(text, header, recorded, settings)
+            size, done = self._read_complete_rows(text, files)
             self.stream.truncate(size)
             if size:
                 return done
@@ -156,44 +159,38 @@ class GrowingTable:
         # The table is empty now: a kill cannot leave rows beside other settings.
         made_by = f"{_MAKER} {__version__}"
         write_json({"made_by": made_by, "plan": settings}, self.settings)
-        self.stream.write(head.encode())
+        self.stream.write(header.encode())
         self._settle()
         return set()
 
     def _require_own(
         self,
         text: str,
-        head: str,
-        before: dict[str, Any] | None,
+        header: str,
+        recorded: dict[str, Any] | None,
         settings: dict[str, Any],
     ) -> None:
-        """Raise `InputError` for a file that is no table with these settings."""
-        fault = ""
-        recorded = before or {}
-        changed = [key for key in settings if recorded.get(key) != settings[key]]
+        """Raise `InputError` for a file that is no table with these settings; None are
+        recorded where the file of the settings is missing."""
         if not text.startswith("file,"):
             fault = f", line 1: not a table of `{_MAKER}`"
-        elif before is None:
+        elif recorded is None:
             fault = (
                 ": the settings of its rows are unknown, because "
                 f"{self.settings} is missing"
             )
-        elif changed:
-            key = changed[0]
-            new = _setting_in_words(settings[key])
-            if key in recorded:
-                old = _setting_in_words(recorded[key])
-                fault = f": made with other settings ({key} = {old}, not {new})"
-            else:
-                fault = f": made by an earlier version, whose settings have no {key}"
-        elif not text.startswith(head):
-            fault = ", line 1: other columns than this version of curlfit writes"
+        else:
+            fault = _change(recorded, settings)
+            if not fault and not text.startswith(header):
+                fault = ", line 1: other columns than this version of curlfit writes"
         if fault:
             raise InputError(f"{self.file}{fault}; {_OTHERWISE}")
 
-    def _read(self, text: str, files: Sequence[str]) -> tuple[int, set[str]]:
-        """Count complete rows; returns the length of the table up to the last of them,
-        in bytes, and the files that are done."""
+    def _read_complete_rows(
+        self, text: str, files: Sequence[str]
+    ) -> tuple[int, set[str]]:
+        """Read the rows of files that are done and count them; returns the length of
+        the table up to the last of them, in bytes, and these files."""
         lines = text.split("\n")[:-1]  # what follows was cut off by a kill
         rows = []
         for number, cells in enumerate(csv.reader(lines[1:]), start=2):
@@ -201,21 +198,17 @@ class GrowingTable:
                 fault = f"expected {len(self.columns)} columns"
                 raise DataError(fault, file=self.file, line=number)
             rows.append(dict(zip(self.columns, cells, strict=True)))
-        if rows and self._may_lack_rows(rows[-1], files):
-            unfinished = rows[-1]["file"]
-            while rows and rows[-1]["file"] == unfinished:
-                rows.pop()
+        if rows:
+            last = rows[-1]
+            # of a file with several throws others may be missing
+            is_one_of_several = bool(last["shot"] or last["stone_index"])
+            if is_one_of_several and last["file"] in map(csv_cell, files):
+                while rows and rows[-1]["file"] == last["file"]:
+                    rows.pop()
         self._count(rows)
-        kept = "".join(f"{line}\n" for line in lines[: len(rows) + 1])
-        size = len(kept.encode(errors="surrogateescape"))
+        kept_text = "".join(f"{line}\n" for line in lines[: len(rows) + 1])
+        size = len(kept_text.encode(errors="surrogateescape"))
         return size, {row["file"] for row in rows}
-
-    @staticmethod
-    def _may_lack_rows(last: Mapping[str, str], files: Sequence[str]) -> bool:
-        """Whether the last row is of a file with several throws, of which others may be
-        missing."""
-        is_one_of_several = bool(last["shot"] or last["stone_index"])
-        return is_one_of_several and last["file"] in map(csv_cell, files)
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk. Raises `InputError` where
@@ -248,6 +241,19 @@ class GrowingTable:
 
     def __exit__(self, *_: object) -> None:
         self.stream.close()
+
+
+def _change(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """The first setting that is not as recorded, in words; empty where all are."""
+    for key, value in settings.items():
+        if recorded.get(key) == value:
+            continue
+        if key not in recorded:
+            return f": made by an earlier version, whose settings have no {key}"
+        before = _setting_in_words(recorded[key])
+        now = _setting_in_words(value)
+        return f": made with other settings ({key} = {before}, not {now})"
+    return ""
 
 
 def _setting_in_words(value: Any) -> str:

@@ -92,8 +92,7 @@ def _broom(text: str) -> float:
     from curlfit.throws.readers.notation import parse_quantity
 
     length = parse_quantity(text, "x")
-    one_side = length.words <= {"left", "right"} and len(length.words) < 2
-    if math.isnan(length.value) or not one_side:
+    if math.isnan(length.value) or length.words not in (set(), {"left"}, {"right"}):
         raise InputError(f"--broom {text}: expected a length, left or right")
     if length.value and not (length.words or length.signed):
         raise InputError(f"--broom {text}: to which side? Expected 4 ft left")
@@ -168,7 +167,8 @@ def predict(
     from curlfit.output.files import atomic_write, claim_folder
 
     drawn = output.drawn()
-    if goal.to_tee + (goal.weight is not None) + (goal.target is not None) > 1:
+    goals = [goal.to_tee, goal.weight is not None, goal.target is not None]
+    if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
     result: Any
     chain = None

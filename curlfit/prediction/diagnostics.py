@@ -4,12 +4,12 @@ held-out rows."""
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.findings import Finding, Level
+from curlfit.findings import Finding
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -27,41 +27,36 @@ from curlfit.throws.throw import Throw
 
 MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
-# of the fitted range of speed or spin, beyond which a warning is given
-_EXTRAPOLATION = 1.02
+_EXTRAPOLATION = 1.02  # factor beyond the fitted speed or spin that gives a warning
 _SHORTEST_END = 0.01  # m below the fitted speeds, up to which no warning is given
+# Rows of the fitted throw differ from those fitted by less than a number of times the
+# rms of its residuals plus a part of its range.
+_SAME_BY_RMS = 10.0
+_SAME_BY_RANGE = 0.05
 _UNSEEN = 1e-5  # m; no camera sees smaller effects
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
-class Remarks(NamedTuple):
-    """Warnings and notes of a prediction."""
-
-    warnings: list[Finding]
-    notes: list[Finding]
-
-
-def remarks(throw: PlannedThrow, simulation: Simulation, anywhere: bool) -> Remarks:
-    """What a user should know of a prediction; `anywhere` is where neither user nor
-    data say where the throw starts."""
+def findings_of(
+    throw: PlannedThrow, simulation: Simulation, *, line_assumed: bool
+) -> list[Finding]:
+    """What a user should know of a prediction; `line_assumed` is where the user does
+    not say on which line the throw starts."""
     findings = [
-        *_of_extrapolation(throw.fit, simulation, throw.new),
-        *_of_null_directions(throw.fit, simulation),
-        *_of_discrepancy(simulation.discrepancy),
+        *_extrapolation_findings(throw.fit, simulation, throw.new),
+        *_null_direction_findings(throw.fit, simulation),
+        *_discrepancy_findings(simulation.discrepancy),
         *curl_warnings([throw.fit]),
-        *_off_the_sheet(simulation),
+        *_side_findings(simulation),
     ]
-    if anywhere and throw.line == "hog" and not throw.new:
+    if line_assumed and throw.line == "hog" and not throw.new:
         findings.append(Finding.note("start-assumed"))
     if throw.new and simulation.discrepancy is not None:
         findings.append(Finding.note("ice-of-one-throw"))
-    return Remarks(
-        warnings=[finding for finding in findings if finding.level is Level.WARNING],
-        notes=[finding for finding in findings if finding.level is Level.NOTE],
-    )
+    return findings
 
 
-def _of_extrapolation(
+def _extrapolation_findings(
     fit: FitResult, simulation: Simulation, new: bool
 ) -> Iterator[Finding]:
     """Warnings where the throw leaves the fitted range of speed or, if it is a `new`
@@ -71,14 +66,14 @@ def _of_extrapolation(
     speed = simulation.best.speed[0]
     omega = simulation.best.state[0, 5, 0]
     y = simulation.best.state[0, 1]
+    slowest = float(fitted_speed.min())
     yield from _beyond("speed", "m/s", speed[0], 0.0, fitted_speed.max())
     if new:
         spin = np.abs(fitted_omega)
         yield from _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
-    slow = np.flatnonzero(speed < fitted_speed.min() / _EXTRAPOLATION)
+    slow = np.flatnonzero(speed < slowest / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > _SHORTEST_END:
-        slowest = float(fitted_speed.min())
         yield Finding.warning(
             "end-below-fitted-range", distance=distance, speed=slowest
         )
@@ -103,7 +98,9 @@ def _beyond(
     )
 
 
-def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Finding]:
+def _null_direction_findings(
+    fit: FitResult, simulation: Simulation
+) -> Iterator[Finding]:
     """Warnings about null directions of the fit that affect the throw, and notes
     on the others."""
     if fit.ridge:  # the values that fit lie on a curve, along which draws are made
@@ -112,7 +109,7 @@ def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Find
     directions = fit.identifiability.null_directions
     for direction, ends in zip(directions, simulation.null_ends, strict=True):
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
-        if not ends.good.all():
+        if not ends.comes_to_rest.all():
             yield Finding.warning("null-without-rest", **numbers)
             continue
         # x, y and phi at rest, of both ends
@@ -131,7 +128,7 @@ def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Find
             yield Finding.warning("null-moves-rest", **numbers)
 
 
-def _of_discrepancy(discrepancy: Discrepancy | None) -> Iterator[Finding]:
+def _discrepancy_findings(discrepancy: Discrepancy | None) -> Iterator[Finding]:
     """Warnings and notes on the model discrepancy; None is that of a joint fit."""
     if discrepancy is None:
         yield Finding.note("bands-between-throws")
@@ -170,7 +167,7 @@ def _sizes(
     ]
 
 
-def _off_the_sheet(simulation: Simulation) -> Iterator[Finding]:
+def _side_findings(simulation: Simulation) -> Iterator[Finding]:
     """A warning where the stone leaves the sheet."""
     x = simulation.best.state[0, 0]
     y = simulation.best.state[0, 1]
@@ -265,7 +262,8 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
             continue
         measured = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
         error = np.abs(measured - fit.observed[name])
-        largest = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        extent = float(np.ptp(fit.fitted[name]))
+        largest = _SAME_BY_RMS * fit.rms[name] + _SAME_BY_RANGE * extent
         if not np.isfinite(error).any() or np.nanmedian(error) > largest:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data.file}): "

@@ -94,32 +94,42 @@ class DiscrepancyPosterior:
     def draw(self, draws: int, random: np.random.Generator) -> MissingAccelerations:
         """Draws of missing accelerations: at the fitted speeds from their posterior,
         beyond them from the prior."""
-        regression = self._estimate.regression
-        assert regression is not None
-        # A size of each component, by its posterior weight; then amplitudes of the
-        # functions of speed, Gaussian for given sizes: the mean times a factor between
-        # 0 and 2, and the scatter, both through the factor of their precision.
-        lower, white, root = map(np.asarray, _posteriors(regression, GRID))
-        sizes_drawn = random.choice(len(GRID), draws, p=self._estimate.weights)
-        factor = random.uniform(0.0, 2.0, (draws, 1))
-        mean = factor * white[sizes_drawn]
-        right = mean + random.standard_normal((draws, lower.shape[-1]))
-        inner = np.linalg.solve(lower.mT[sizes_drawn], right[..., None])
-        amplitudes = (root[sizes_drawn] @ inner)[..., 0]
+        ceilings = np.array([*self.summary.ceilings.values()])
+        amplitudes = self._draw_amplitudes(draws, random)
         by_amplitude = self._data.from_standard @ np.asarray(self._data.coupling)
         change = -amplitudes @ by_amplitude.T
-        ceilings = np.array([*self.summary.ceilings.values()])
-        fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
+        scaled = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
+        at_fitted_speeds = scaled @ shapes()
 
         prior = np.exp(log_prior(SIZES[:, None]))
-        shares = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum())
-        sizes = shares * ceilings
+        sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum())
+        sizes = sizes * ceilings
         normal = random.standard_normal((draws, *self._unseen_shapes.shape[:2]))
         # draws, components, functions, speeds
         unseen = np.einsum("dcf,cfs->dcs", normal, self._unseen_shapes)
         return MissingAccelerations(
-            fitted @ shapes() + sizes[..., None] * unseen, change
+            at_fitted_speeds + sizes[..., None] * unseen, change
         )
+
+    def _draw_amplitudes(self, draws: int, random: np.random.Generator) -> Floats:
+        """Amplitudes of the functions of speed, over the ceilings of their components,
+        shape (draws, components times functions).
+
+        The sizes of the components are drawn by their posterior weight. For given sizes
+        the amplitudes are Gaussian: their mean times a factor between 0 and 2, plus
+        the scatter.
+        """
+        regression = self._estimate.regression
+        assert regression is not None
+        # For each size: the Cholesky factor L of the precision of z, L^T times the mean
+        # of z, and F of the amplitudes F z.
+        lower, white_mean, root = jax.device_get(_posteriors(regression, GRID))
+        size = random.choice(len(GRID), draws, p=self._estimate.weights)
+        factor = random.uniform(0.0, 2.0, (draws, 1))
+        normal = random.standard_normal((draws, lower.shape[-1]))
+        white = factor * white_mean[size] + normal
+        z = np.linalg.solve(lower.mT[size], white[..., None])
+        return cast(Floats, (root[size] @ z)[..., 0])
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
         """Draws of the parameters corrected for the missing accelerations, with errors
@@ -136,8 +146,8 @@ class DiscrepancyPosterior:
             # The covariance is relative to that of the fit, in which it would be 1:
             # offsets are stretched along its axes where it is larger.
             squares, axes = np.linalg.eigh(covariance)
-            larger = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T
-            stretch = larger - np.eye(len(axes))
+            stretched = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T
+            stretch = stretched - np.eye(len(axes))
             offset = (values - self._fit.values) @ data.to_standard.T
             shifted += offset @ stretch @ data.from_standard.T
         bounds = self._fit.parameter_set
@@ -160,10 +170,16 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     channels = [*CHANNELS, "events"][: len(data.weight)]
     sigma_given = [name not in fit.sigma for name in channels]
     estimated = estimate(DISCREPANCY, data, sigma_given)
-    # rows of GRID are sizes of the components; the first size is none
+    # Of each component, how much less likely the data are if it is absent: of the sizes
+    # of a component the smallest stands for none.
     log_likelihood = estimated.log_likelihood
-    without = [log_likelihood[column == SIZES[0]].max() for column in GRID.T]
+    without = [log_likelihood[sizes == SIZES[0]].max() for sizes in GRID.T]
     excess = np.sqrt(2 * (log_likelihood.max() - without))
+
+    noise = {}
+    for name, scale, enough in zip(channels, estimated.scale, data.enough, strict=True):
+        if enough and name in fit.sigma:
+            noise[name] = float(fit.sigma[name] * scale)
 
     def by_component(values: Floats) -> dict[str, float]:
         return dict(zip(COMPONENTS, map(float, values), strict=True))
@@ -171,13 +187,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     summary = Discrepancy(
         sizes=by_component(np.sqrt(estimated.weights @ GRID**2) * responses.size),
         span=float(data.span),
-        noise={
-            name: float(fit.sigma[name] * scale)
-            for name, scale, enough in zip(
-                channels, estimated.scale, data.enough, strict=True
-            )
-            if enough and name in fit.sigma
-        },
+        noise=noise,
         excess=by_component(excess) if data.enough.any() else {},
         ceilings=by_component(responses.size),
         friction=responses.friction,

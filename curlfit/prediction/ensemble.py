@@ -32,8 +32,9 @@ _PLACES = {
     "back of the house": HOUSE,
     "hack": TEE_TO_HACK,
 }
-_GRID = np.arange(301.0)
-_GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
+_GRID = np.arange(301.0)  # times of a trajectory, in steps
+_GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s
+_WEIGHT_TIMES = 0.2 * _GRID  # s; within a minute every stone of a game is at rest
 _MAX_FILLED = 0.8  # fraction of the time grid within which throws come to rest
 _MAX_LATE = 0.01  # fraction of the throws that may take longer
 _MIN_SPIN = 1e-3  # rad/s of the fitted throw, below which no ratio of spins is formed
@@ -64,13 +65,13 @@ class TrajectoryEnsemble(NamedTuple):
         return cast(Booleans, np.isfinite(self.state).all((1, 2)))
 
     @property
-    def good(self) -> Booleans:
-        """Whether each throw comes to rest."""
+    def comes_to_rest(self) -> Booleans:
+        """Whether each throw has a trajectory that ends at rest."""
         return self.finite & (self.speed[:, -1] <= 0)
 
     @property
-    def rest(self) -> Floats:
-        """Time of rest in s, shape (paths,)."""
+    def time_of_rest(self) -> Floats:
+        """s since the start, shape (paths,)."""
         return self.t[:, -1]
 
     @property
@@ -109,40 +110,45 @@ class TrajectoryEnsemble(NamedTuple):
         speed = self.speed
         mean_speed = self.mean_speed
         step = np.diff(self.t)
-        loss = -np.diff(speed)
+        slowing = -np.diff(speed)
         with np.errstate(all="ignore"):
-            ratio = np.where(loss > 0, along * step / loss, 0.0)  # a/D
+            ratio = np.where(slowing > 0, along * step / slowing, 0.0)  # a/D
             turn_rate = np.where(mean_speed > 0, across / mean_speed, 0.0)
         # The speeds of an interval stay; the time that it takes becomes longer.
         weak = 1 / (1 - np.minimum(ratio, 0.5))
         strong = 2 * np.sqrt(4 * np.maximum(ratio, 0.5) - 1)
         new_step = step * np.where(ratio < 0.5, weak, strong)
-        heading = np.unwrap(_forward_filled(np.arctan2(vx, vy), speed > 0))
+        # What the law turns the path and the stone by grows with the time, and what the
+        # missing accelerations turn them by is added.
         extension = new_step / np.where(step > 0, step, 1.0) - 1
+        heading = np.unwrap(_forward_filled(np.arctan2(vx, vy), speed > 0))
         new_heading = heading + _running_sum(
             extension * np.diff(heading) + turn_rate * new_step
         )
-        spin = omega + _running_sum(extension * np.diff(omega) + angular * new_step)
+        new_omega = omega + _running_sum(
+            extension * np.diff(omega) + angular * new_step
+        )
 
         def displaced(position: Floats, rate: Floats, new_rate: Floats) -> Floats:
-            """A coordinate, changed relative to this path by the sum over
-            the intervals."""
+            """A coordinate along the new path: its difference from that along the old
+            one is summed, so that without accelerations it stays exactly."""
             return position + _running_sum(new_rate * new_step - rate * step)
 
-        beta = _means(heading)
-        new_beta = _means(new_heading)
-        state = np.stack(
-            [
-                displaced(x, mean_speed * np.sin(beta), mean_speed * np.sin(new_beta)),
-                displaced(y, mean_speed * np.cos(beta), mean_speed * np.cos(new_beta)),
-                displaced(phi, _means(omega), _means(spin)),
-                speed * np.sin(new_heading),
-                speed * np.cos(new_heading),
-                spin,
-            ],
-            1,
-        )
-        return TrajectoryEnsemble(_running_sum(new_step), state)
+        course = _means(heading)
+        new_course = _means(new_heading)
+        vx_mean = mean_speed * np.sin(course)
+        vy_mean = mean_speed * np.cos(course)
+        new_vx_mean = mean_speed * np.sin(new_course)
+        new_vy_mean = mean_speed * np.cos(new_course)
+        new_state = [
+            displaced(x, vx_mean, new_vx_mean),
+            displaced(y, vy_mean, new_vy_mean),
+            displaced(phi, _means(omega), _means(new_omega)),
+            speed * np.sin(new_heading),
+            speed * np.cos(new_heading),
+            new_omega,
+        ]
+        return TrajectoryEnsemble(_running_sum(new_step), np.stack(new_state, 1))
 
     def positions_at(self, times: Floats) -> Floats:
         """x, y, phi at times since the start, shape (paths, 3, times)."""
@@ -172,55 +178,55 @@ class TrajectoryEnsemble(NamedTuple):
         #        o  <- before
         y = self.state[:, 1]
         beyond = (y >= level) & (y[:, -1:] > level + _ON_LINE)
-        throws = np.arange(len(self.t))
+        paths = np.arange(len(self.t))
         after = np.maximum(np.argmax(beyond, 1), 1)
         before = after - 1
-        ends = self.state[throws, :, [before, after]]  # shape (2, paths, 6)
-        begin = self.t[throws, before]
-        step = self.t[throws, after] - begin
-        positions = ends[..., :2]
-        rates = ends[..., 3:5] * step[:, None]  # by the part of the interval
-        path = CubicHermiteSpline([0.0, 1.0], positions, rates)
-        height = path.c[:, 0, :, 1].copy()  # coefficients of y, shape (4, paths)
+        time_before = self.t[paths, before]
+        interval = self.t[paths, after] - time_before
+        states = self.state[paths, :, [before, after]]  # shape (2, paths, 6)
+        positions = states[..., :2]
+        rates = states[..., 3:5] * interval[:, None]  # by the part of the interval
+        cubic = CubicHermiteSpline([0.0, 1.0], positions, rates)
+        height = cubic.c[:, 0, :, 1].copy()  # coefficients of y - level, (4, paths)
         height[-1] -= level
         part = find_root(
-            lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)
+            lambda part, *coefficients: np.polyval(coefficients, part),
+            (0.0, 1.0),
+            args=(*height,),
         ).x
-        slopes = path.derivative().c[:, 0]  # coefficients, shape (3, paths, 2)
-        velocity = np.polyval(slopes, part[:, None]) / step[:, None]
+        slopes = cubic.derivative().c[:, 0]  # coefficients, shape (3, paths, 2)
+        velocity = np.polyval(slopes, part[:, None]) / interval[:, None]
         crosses = beyond.any(1) & ~beyond[:, 0]
-        time = np.where(crosses, begin + step * part, np.nan)
+        time = np.where(crosses, time_before + interval * part, np.nan)
         speed = np.where(crosses, np.hypot(*velocity.T), np.nan)
 
         past = y[:, 0] - level
         forward = self.state[:, 4, 0]
-        on_line = (past >= 0) & (past < _AT_START)
+        starts_on_line = (past >= 0) & (past < _AT_START)
         time_at_start = -past / np.where(forward > 0, forward, np.nan)
         return Crossing(
-            time=np.where(on_line, time_at_start, time),
-            speed=np.where(on_line, self.speed[:, 0], speed),
+            time=np.where(starts_on_line, time_at_start, time),
+            speed=np.where(starts_on_line, self.speed[:, 0], speed),
         )
 
 
 class ThrowFamily:
     """The throw to be predicted, under many parameter vectors.
 
+    A vector is the parameters of law and conditions, then the initial state.
+
     Attributes
     ----------
-    t : times since the start in s, at which those of `simulate` are.
     spin_ratio : ratio of the spin to that of the fitted throw.
     """
-
-    t: Floats = np.zeros(0)
 
     def __init__(self, throw: PlannedThrow) -> None:
         fit = throw.fit
         self.throw = throw
         self.fit = fit
-        # A vector is the parameters of law and conditions, then the initial state.
-        self._of_law = len(fit.parameters) - len(START)
+        self._law_size = len(fit.parameters) - len(START)
         self._column = {
-            component.name: self._of_law + index
+            component.name: self._law_size + index
             for index, component in enumerate(START)
         }
         self.spin_ratio = 1.0
@@ -256,14 +262,14 @@ class ThrowFamily:
         for name, index in column.items():
             vectors[:, index] = throw.values[name]
         if throw.origins["omega0"] != "given":
-            fitted_spin = values[:, column["omega0"]]
-            vectors[:, column["omega0"]] = self.spin_ratio * fitted_spin
+            fitted_spins = values[:, column["omega0"]]
+            vectors[:, column["omega0"]] = self.spin_ratio * fitted_spins
         draw = Draw(self.fit.model, self.fit.stone)
         hog_to_hog: float | Floats | None = call.hog_to_hog
         if random is not None and call.thrower is not None:
             time_sd, broom_sd = call.thrower
             if hog_to_hog is None:
-                best = self.fit.values[None, : self._of_law]
+                best = self.fit.values[None, : self._law_size]
                 speed = vectors[:1, column["v0"]]
                 spin = throw.values["omega0"]
                 hog_to_hog = draw.hog_to_hog(best, spin, speed)[0]
@@ -275,30 +281,27 @@ class ThrowFamily:
             vectors[:, column["heading"]] += angle
         if hog_to_hog is not None:
             vectors[:, column["v0"]] = draw.speeds(
-                vectors[:, : self._of_law], vectors[:, column["omega0"]], hog_to_hog
+                vectors[:, : self._law_size], vectors[:, column["omega0"]], hog_to_hog
             )
         return vectors
 
     def varied(self) -> dict[str, Floats]:
         """The best estimate with one component of the initial state changed, by the
         name of the component; a parameter vector each, shape (1, parameters)."""
-        best = self.fit.values
-        names = list(self.fit.parameters)
         vectors = {}
         for name, change in VARIED.items():
-            vectors[name] = self.with_start(best[None])
-            vectors[name][0, names.index(name)] += change
+            vectors[name] = self.with_start(self.fit.values[None])
+            vectors[name][0, self._column[name]] += change
         return vectors
 
     def null_ends(self) -> list[Floats]:
-        """The best estimate moved to both ends of each null direction, shape (2,
-        parameters)."""
+        """The best estimate moved along each null direction of the fit, either way to
+        the first bound of a parameter; for each direction shape (2, parameters)."""
         best = self.fit.values
-        names = list(self.fit.parameters)
-        vectors = []
         parameters = self.fit.parameter_set
+        vectors = []
         for direction in self.fit.identifiability.null_directions:
-            along = np.array([direction.get(name, 0.0) for name in names])
+            along = np.array([direction.get(name, 0.0) for name in parameters.names])
             # how far along the direction each parameter is at its bounds
             with np.errstate(all="ignore"):
                 to_lower = (parameters.lower - best) / along
@@ -306,26 +309,25 @@ class ThrowFamily:
             bounded = (along != 0) & np.isfinite(to_lower) & np.isfinite(to_upper)
             backward = np.minimum(to_lower, to_upper)[bounded]
             forward = np.maximum(to_lower, to_upper)[bounded]
-            limits = [max(backward, default=0.0), min(forward, default=0.0)]
-            vectors.append(self.with_start(best + np.outer(limits, along)))
+            ends = [max(backward, default=0.0), min(forward, default=0.0)]
+            vectors.append(self.with_start(best + np.outer(ends, along)))
         return vectors
 
-    def simulate(self, values: Floats) -> TrajectoryEnsemble:
-        """Trajectories of parameter vectors from `with_start`, at the same times
-        in all calls."""
+    def times_to_rest(self, values: Floats) -> Floats:
+        """The finest grid of times within which nearly all throws of some parameter
+        vectors come to rest, s since the start."""
+        longest = self.simulate(values[:BATCH], _GRID * _GRID_STEPS[-1])
+        ends = _MAX_FILLED * _GRID[-1] * np.array(_GRID_STEPS[:-1])
+        late = (longest.time_of_rest > ends[:, None]).mean(1)
+        too_short = int((late > _MAX_LATE).sum())
+        return _GRID * _GRID_STEPS[too_short]
 
-        def at(t: Floats, values: Floats) -> TrajectoryEnsemble:
-            return simulate_ensemble(
-                self.fit.model, values, self.fit.stone, self.environment, t
-            )
-
-        if not len(self.t):
-            # the finest grid within which nearly all throws come to rest
-            rest = at(_GRID * _GRID_STEPS[-1], values[:BATCH]).rest
-            ends = _MAX_FILLED * _GRID[-1] * np.array(_GRID_STEPS[:-1])
-            too_short = (rest > ends[:, None]).mean(1) > _MAX_LATE
-            self.t = _GRID * _GRID_STEPS[int(too_short.sum())]
-        return at(self.t, values)
+    def simulate(self, values: Floats, t: Floats) -> TrajectoryEnsemble:
+        """Trajectories of parameter vectors from `with_start`, at times since
+        the start."""
+        return simulate_ensemble(
+            self.fit.model, values, self.fit.stone, self.environment, t
+        )
 
 
 def prepare_ensemble(fit: FitResult) -> None:
@@ -348,19 +350,20 @@ def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
     sense, on the ice of a fit. A place that no throw reaches is left out."""
     spin = abs(spin)
     hog = LINES["hog"]
+    hog_to_tee_line = TEE - hog
     weights = []
     for name, y in _PLACES.items():
-        rest = (0.0, TEE + y)
+        target = (0.0, TEE + y)
         try:
-            clockwise = aimed(fit, rest, -spin, start=(0.0, hog))
-            counter_clockwise = aimed(fit, rest, spin, start=(0.0, hog))
+            clockwise = aimed(fit, target, -spin, start=(0.0, hog))
+            counter_clockwise = aimed(fit, target, spin, start=(0.0, hog))
         except InputError:
             continue
         heading = counter_clockwise.heading
         state = (0.0, hog, heading, counter_clockwise.v0, 0.0, spin)
         values = np.array([[*fit.values[: -len(START)], *state]])
         path = simulate_ensemble(
-            fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID
+            fit.model, values, fit.stone, LEVEL_AND_STILL, _WEIGHT_TIMES
         )
         hog_to_tee = None
         if y > 0:
@@ -372,8 +375,8 @@ def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
                 hog_to_hog=float(path.crossing(LINES["far-hog"]).time[0]),
                 hog_to_tee=hog_to_tee,
                 brooms=(
-                    math.tan(clockwise.heading) * (TEE - hog),
-                    math.tan(heading) * (TEE - hog),
+                    math.tan(clockwise.heading) * hog_to_tee_line,
+                    math.tan(heading) * hog_to_tee_line,
                 ),
             )
         )

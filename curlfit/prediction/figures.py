@@ -95,7 +95,7 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
         for axes, name in zip(below, check.channels, strict=True):
             _residuals(prediction.series, check, axes, name)
     law = draw.literal(prediction.law)
-    file = draw.file_name(prediction.fit["file"])
+    file = draw.file_name(prediction.fit.file)
     throw = "another throw on this ice"
     if prediction.of == "fitted":
         throw = "extrapolated to rest"
@@ -213,7 +213,7 @@ def _resting_place(prediction: Prediction, axes: Axes) -> None:
 def _regions(prediction: Prediction, axes: Axes) -> None:
     """Ellipses of the resting position: with all errors, with those of the parameters
     alone, and of the throw with the other turn."""
-    covariance = prediction.rest["both"]
+    covariance = prediction.rest.both
     for level in _LEVELS:
         _ellipse(
             axes,
@@ -231,7 +231,7 @@ def _regions(prediction: Prediction, axes: Axes) -> None:
         _ellipse(
             axes,
             _region(other, _WIDE),
-            other.rest["both"],
+            other.rest.both,
             fc="none",
             ec=_OTHER.color,
             lw=0.8,
@@ -244,7 +244,7 @@ def _regions(prediction: Prediction, axes: Axes) -> None:
     _ellipse(
         axes,
         _Region(best, 1.96 * sd),
-        prediction.rest["parameter"],
+        prediction.rest.parameter,
         fc="none",
         ec=draw.FIT_COLOR,
         lw=0.8,

@@ -23,13 +23,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
-from curlfit.findings import Finding, Remedy
+from curlfit.findings import Finding, Level, Remedy
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.result import FitResult, require_fit
@@ -43,7 +42,7 @@ from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
-from curlfit.prediction.request import PlannedThrow, both_turns, planned
+from curlfit.prediction.request import PlannedThrow, planned, with_turn
 from curlfit.prediction.result import (
     CENTRED,
     Call,
@@ -53,11 +52,13 @@ from curlfit.prediction.result import (
     Start,
 )
 from curlfit.prediction.simulation import Simulation
-from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import CHANNELS, Throw
 
+_FEWEST_DRAWS = 100  # that can be asked for
 _ROUNDS = 200  # of draws, until enough are within the bounds
-_FEW = 100  # independent draws, below which the ends of a 95 % band are rough
+_FEW_INDEPENDENT = (
+    100  # independent draws, below which the ends of a 95 % band are rough
+)
 
 
 def predict(
@@ -118,58 +119,64 @@ def predict(
     >>> round(prediction.quantities["time"].value, 1)
     24.3
     """
+    start = start or {}
     if call.turn == "both":
-        predict_turn = partial(
-            predict,
-            fit,
-            chain,
-            line=line,
-            target=target,
-            weight=weight,
-            tee_speed=tee_speed,
-            draws=draws,
-            seed=seed,
-            check=check,
-        )
-        turns = both_turns(call, start or {})
-        in_turn = predict_turn(call=turns.in_turn, start=turns.in_start)
-        out_turn = predict_turn(call=turns.out_turn, start=turns.out_start)
+        predictions = []
+        for turn in ("in", "out"):
+            call_of_turn, start_of_turn = with_turn(call, start, turn)
+            prediction = predict(
+                fit,
+                chain,
+                start=start_of_turn,
+                call=call_of_turn,
+                line=line,
+                target=target,
+                weight=weight,
+                tee_speed=tee_speed,
+                draws=draws,
+                seed=seed,
+                check=check,
+            )
+            predictions.append(prediction)
+        in_turn, out_turn = predictions
         return replace(in_turn, other=out_turn)
     random = np.random.default_rng(seed)
-    warnings: list[Finding] = []
-    notes: list[Finding] = []
-    odd_rows: tuple[OddRow, ...] = ()
-    together = isinstance(fit, JointResult)
+    joint: JointResult | None = None
     if isinstance(fit, JointResult):
-        odd_rows = fit.odd_rows
+        joint = fit
         fit, values = another(fit, call.labels, draws, random)
-        sample = _Sample(values, "throws")
+        posterior = _Posterior(fit, values, "throws")
     else:
-        _require_single_fit(fit, call, draws)
-        if fit.noise.has_discrepancy:
-            # the simulation adds the accelerations that the law lacks by itself
-            fit = refit(fit, WHITE)
-            chain = None
-            notes.append(Finding.note("law-without-discrepancy"))
-        sample = _sample_of(fit, chain, draws, random)
-        warnings += sample.warnings
+        posterior = _posterior_of_throw(fit, chain, call, draws, random)
+        fit = posterior.fit
     _require_predictable(fit, draws)
-    throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
-    _require_alike(throw, together, check)
+    throw = planned(fit, call, start, line, target, weight, tee_speed)
+    if joint is not None and not throw.new:
+        raise InputError(
+            "a joint fit predicts another throw: give its weight as hog to hog time "
+            "or v0, or where it is to rest"
+        )
+    if check is not None and throw.new:
+        raise InputError(
+            "measured rows are compared with the fitted throw; leave out the start, "
+            "target or weight"
+        )
     prepare_ensemble(fit)
     simulation = Simulation.of(
-        ThrowFamily(throw), sample.values, random, call if together else None
+        ThrowFamily(throw), posterior.values, random, None if joint is None else call
     )
-    remarks = diagnostics.remarks(throw, simulation, line is None)
-    warnings += remarks.warnings
-    notes += remarks.notes
+    findings = [
+        *posterior.findings,
+        *diagnostics.findings_of(throw, simulation, line_assumed=line is None),
+    ]
     used = len(simulation.plain.t)
     if used < draws:
         fraction = 1 - used / draws
-        warnings.append(Finding.warning("draws-without-rest", fraction=fraction))
+        findings.append(Finding.warning("draws-without-rest", fraction=fraction))
     comparison = None
     if check is not None:
         comparison = diagnostics.compare_held_out(check, throw, simulation, random)
+    paths = simulation.full.positions_at(simulation.t)
     return Prediction(
         law=fit.law,
         load=fit.load,
@@ -186,43 +193,25 @@ def predict(
         of="new" if throw.new else "fitted",
         line="" if throw.origins["y0"] == "given" else throw.line,
         goal=throw.goal,
-        draws=Draws(number=draws, used=used, source=sample.source, seed=seed),
+        draws=Draws(number=draws, used=used, source=posterior.source, seed=seed),
+        misfit=simulation.discrepancy,
+        series=simulation.series(paths),
+        band=simulation.band(paths),
+        rest=simulation.resting_place(),
+        quantities=simulation.quantities(),
+        chances=simulation.chances(),
+        sensitivity=simulation.sensitivity(),
+        warnings=tuple(
+            finding for finding in findings if finding.level is Level.WARNING
+        ),
+        notes=tuple(finding for finding in findings if finding.level is Level.NOTE),
         call=call,
-        odd_rows=odd_rows,
-        weights=weights_of(fit, throw.values["omega0"]) if together else (),
-        measured={} if together else _measured_rows(throw),
-        warnings=tuple(warnings),
-        notes=tuple(notes),
+        odd_rows=() if joint is None else joint.odd_rows,
+        weights=() if joint is None else weights_of(fit, throw.values["omega0"]),
         check=comparison,
-        **simulation.summary(),
+        measured=_measured_rows(throw) if joint is None else {},
+        sample=simulation.sample(paths),
     )
-
-
-def _require_single_fit(fit: FitResult, call: Call, draws: int) -> None:
-    """Raise `InputError` or `UnusableFitError` if a fit is none of one throw, or cannot
-    be used, and for a call of groups, which one throw lacks."""
-    require_fit(fit)
-    if call.labels:
-        raise InputError(
-            f"{', '.join(call.labels)}: the fit of one throw has no "
-            "groups; leave it out"
-        )
-    _require_predictable(fit, draws)
-
-
-def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:
-    """Raise `InputError` for the throw itself of a joint fit, or for another
-    to be checked."""
-    if together and not throw.new:
-        raise InputError(
-            "a joint fit predicts another throw: give its weight as hog to hog time "
-            "or v0, or where it is to rest"
-        )
-    if check is not None and throw.new:
-        raise InputError(
-            "measured rows are compared with the fitted throw; leave out the start, "
-            "target or weight"
-        )
 
 
 def _require_predictable(fit: FitResult, draws: int) -> None:
@@ -236,8 +225,8 @@ def _require_predictable(fit: FitResult, draws: int) -> None:
                 f"{name} of this fit is not 1: measured lengths or times differ from "
                 "the true ones; use a fit of corrected data"
             )
-    if draws < 100:
-        raise InputError(f"{draws} draws: expected at least 100")
+    if draws < _FEWEST_DRAWS:
+        raise InputError(f"{draws} draws: expected at least {_FEWEST_DRAWS}")
 
 
 def held_out(
@@ -272,40 +261,71 @@ def held_out(
 
 
 @dataclass(frozen=True)
-class _Sample:
-    """Parameter vectors from the posterior.
+class _Posterior:
+    """The fit that a prediction is made from, and draws of its parameters.
 
     Attributes
     ----------
-    values : shape (draws, parameters).
-    source : as `Prediction.draws` has it.
-    warnings : where they are few.
+    values : parameter vectors, shape (draws, parameters).
+    source : what they were drawn from.
+    findings : about the fit and the draws.
     """
 
+    fit: FitResult
     values: Floats
     source: Source
-    warnings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
-def _sample_of(
-    fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> _Sample:
-    """Parameter vectors from the posterior of one throw: from its chain, along the
-    curve of values that fit, or by its covariance."""
+def _posterior_of_throw(
+    fit: FitResult,
+    chain: Chain | None,
+    call: Call,
+    draws: int,
+    random: np.random.Generator,
+) -> _Posterior:
+    """Draws from the posterior of one throw: from its chain, along the curve of values
+    that fit, or by its covariance.
+
+    Raises
+    ------
+    InputError, UnusableFitError : no fit of one throw, one that cannot be used, a call
+        of groups, which one throw lacks, or the chain of another fit.
+    """
+    require_fit(fit)
+    if call.labels:
+        raise InputError(
+            f"{', '.join(call.labels)}: the fit of one throw has no "
+            "groups; leave it out"
+        )
+    _require_predictable(fit, draws)
+    findings: tuple[Finding, ...] = ()
+    if fit.noise.has_discrepancy:
+        # the simulation adds the accelerations that the law lacks by itself
+        fit = refit(fit, WHITE)
+        chain = None
+        findings = (Finding.note("law-without-discrepancy"),)
     if chain is not None:
         if chain.names != tuple(fit.parameters):
             raise InputError("the chain is of another fit: its parameters differ")
-        flat = chain.flat
-        chosen = random.choice(len(flat), draws, replace=len(flat) < draws)
-        return _Sample(flat[chosen], "chain")
+        samples = chain.flat
+        chosen = random.choice(len(samples), draws, replace=len(samples) < draws)
+        return _Posterior(fit, samples[chosen], "chain", findings)
     if fit.ridge:
-        values, effective = draws_along_ridge(fit, draws, random)
-        if effective >= _FEW:
-            return _Sample(values, "ridge")
-        warning = Finding.warning(
-            "few-draws", Remedy("sample-posterior"), draws=float(effective)
-        )
-        return _Sample(values, "ridge", (warning,))
+        values, independent = draws_along_ridge(fit, draws, random)
+        if independent < _FEW_INDEPENDENT:
+            remedy = Remedy("sample-posterior")
+            warning = Finding.warning("few-draws", remedy, draws=float(independent))
+            findings = (*findings, warning)
+        return _Posterior(fit, values, "ridge", findings)
+    values = _draws_by_covariance(fit, draws, random)
+    return _Posterior(fit, values, "covariance", findings)
+
+
+def _draws_by_covariance(
+    fit: FitResult, draws: int, random: np.random.Generator
+) -> Floats:
+    """Parameter vectors from the covariance of a fit, within the bounds."""
     proposal = ridge_proposal(fit)
     free = fit.parameter_set.free
     lower = fit.parameter_set.lower[free]
@@ -320,7 +340,7 @@ def _sample_of(
     accepted.extend(np.clip(proposed, lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
-    return _Sample(values, "covariance")
+    return values
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:

@@ -62,6 +62,10 @@ _SOURCES = {
 }
 _STRAIGHT = 0.005
 """Curl in m, below which a path is called straight."""
+_ON = 0.005
+"""Distance in m, below which a stone is on a line: it rounds to 0.00 m."""
+_NO_CHANGE = 0.001
+"""Change of the resting position in m that is not told."""
 _ACROSS = ("rest_x", "rest_to_tee", "curl")
 """Quantities that a law without a curl says nothing of."""
 _ALONG = ("beyond", "before")
@@ -119,29 +123,28 @@ def document(prediction: Prediction) -> Document:
         finding=lower(rest).rstrip("."),
         subject=Text.assemble(
             (f"{prediction.law} law", "bold"),
-            f", {prediction.load} load, fitted to {fit['file']}: {throw}",
+            f", {prediction.load} load, fitted to {fit.file}: {throw}",
         ),
         about=(
             *map(Said, odd),
             _start(prediction),
             *(Said(line, style="bold") for line in aim),
-            f"Bands from {draws['used']} draws of {_SOURCES[draws['source']]}",
+            f"Bands from {draws.used} draws of {_SOURCES[draws.source]}",
         ),
         lines=[*odd, *aim, curl],
         sections=sections,
         warnings=prediction.warnings,
         notes=prediction.notes,
-        title=f"{Path(fit['file']).name}: {title}",
+        title=f"{Path(fit.file).name}: {title}",
         settings={
             "Law, load": f"{prediction.law}, {prediction.load}",
-            "Fit": f"{fit['file']}, {fit.in_words}",
+            "Fit": f"{fit.file}, {fit.in_words}",
             "Stone": stone_text(prediction.stone),
             "Start": ", ".join(
-                f"{name} = {component['value']:.6g} {component['unit']} "
-                f"({component['origin']})"
+                f"{name} = {component.value:.6g} {component.unit} ({component.origin})"
                 for name, component in prediction.start.items()
             ),
-            "Draws": f"{draws['used']} of {draws['number']}, seed {draws['seed']}",
+            "Draws": f"{draws.used} of {draws.number}, seed {draws.seed}",
         },
         command=prediction.command,
         names=prediction.start,
@@ -178,21 +181,20 @@ def describe_rest(prediction: Prediction) -> tuple[str, str]:
         rest += " counter-clockwise"
     elif turns < 0:
         rest += " clockwise"
-    rest += f", {_off(y, _ALONG)} the tee line"
+    rest += f", {_offset(y, _ALONG)} the tee line"
     if _knows_no_curl(prediction):
         return f"{rest}.", f"The {prediction.law} law says nothing of its curl."
-    rest += f" and {_off(x, _SIDES)} the centre line."
+    rest += f" and {_offset(x, _SIDES)} the centre line."
     if abs(curl) < _STRAIGHT:
         return rest, "It does not curl."
-    side = "right" if curl > 0 else "left"
     size = f"{abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft)"
-    return rest, f"It curls {size} to the {side}."
+    return rest, f"It curls {size} to the {_side(curl)}."
 
 
-def _off(distance: float, sides: tuple[str, str]) -> str:
+def _offset(distance: float, sides: tuple[str, str]) -> str:
     """A distance in words, such as "0.25 m left of", or "on"; in m, positive and
     negative to either side."""
-    if abs(distance) < 0.005:
+    if abs(distance) < _ON:
         return "on"
     positive, negative = sides
     return f"{abs(distance):.2f} m {negative if distance < 0 else positive}"
@@ -205,7 +207,7 @@ def _start(prediction: Prediction) -> str:
         component = prediction.start[name]
         origin = component.origin
         if origin == "given" or name not in _PLACE:
-            value = f"{component['value']:.5g} {component['unit']}"
+            value = f"{component.value:.5g} {component.unit}"
             components.append(f"{label} {value} ({origin})")
     return f"It starts {_LINES[prediction.line]}: {', '.join(components)}"
 
@@ -218,8 +220,7 @@ def _aim(prediction: Prediction, goal: Goal) -> str:
         heading = start["heading"].value
         aim += (
             f" and a heading of {1000 * heading:.2f} mrad "
-            f"({abs(math.degrees(heading)):.2f} degrees to the "
-            f"{'right' if heading > 0 else 'left'})"
+            f"({abs(math.degrees(heading)):.2f} degrees to the {_side(heading)})"
         )
     x = goal.x
     y = goal.y
@@ -227,8 +228,8 @@ def _aim(prediction: Prediction, goal: Goal) -> str:
     if goal.speed:
         return f"{aim} it passes {tee} at {goal.speed:g} m/s"
     if x or y:
-        across = "" if x is None else f" and {_off(x, _SIDES)} the centre line"
-        return f"{aim} it comes to rest {_off(y, _ALONG)} the tee line{across}"
+        across = "" if x is None else f" and {_offset(x, _SIDES)} the centre line"
+        return f"{aim} it comes to rest {_offset(y, _ALONG)} the tee line{across}"
     return f"{aim} it comes to rest on {tee}"
 
 
@@ -240,8 +241,8 @@ def _called(prediction: Prediction) -> str:
     if "hog_to_hog" in prediction.quantities:
         words.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
     if not _knows_no_curl(prediction):
-        aside = _broom(broom).replace(" in ", " in to the ")
-        position = f"{aside} of" if aside else "on"
+        distance = _feet_and_inches(broom)
+        position = f"{distance} to the {_side(broom)} of" if distance else "on"
         words.append(f"broom {position} the centre line at the tee")
     return f"{capital(', '.join(words))}."
 
@@ -250,15 +251,25 @@ def _resting_place(weight: Weight) -> str:
     """Where a stone of a weight rests."""
     if not weight.y:
         return "tee"
-    return f"{weight.rests}, {_off(weight.y, _ALONG)} the tee"
+    return f"{weight.rests}, {_offset(weight.y, _ALONG)} the tee"
 
 
 def _broom(x: float) -> str:
-    """A position across the sheet in feet and inches, such as "3 ft 1 in left"; empty
-    on the centre line."""
+    """A position across the sheet, such as "3 ft 1 in left"; empty on the centre
+    line."""
+    distance = _feet_and_inches(x)
+    return f"{distance} {_side(x)}" if distance else ""
+
+
+def _feet_and_inches(x: float) -> str:
+    """The size of a distance in m, such as "3 ft 1 in"; empty below half an inch."""
     inches = round(abs(x) / FOOT * 12)
-    side = "right" if x > 0 else "left"
-    return f"{inches // 12} ft {inches % 12} in {side}" if inches else ""
+    return f"{inches // 12} ft {inches % 12} in" if inches else ""
+
+
+def _side(x: float) -> str:
+    """The side on which a position or turn is, positive to the right."""
+    return "right" if x > 0 else "left"
 
 
 _WEIGHT_COLUMNS: tuple[Column[Weight], ...] = (
@@ -390,44 +401,44 @@ def _sensitivity(prediction: Prediction) -> str:
         effect = prediction.sensitivity.get(name)
         if effect is None:
             continue
-        along = effect["along"]
-        right = effect["right"]
+        along = effect.along
+        right = effect.right
         moves = []
-        if abs(along) >= 0.001:
+        if abs(along) >= _NO_CHANGE:
             way = "shorter" if along < 0 else "farther"
             moves.append(f"{abs(along):.2g} m {way}")
-        if abs(right) >= 0.001:
-            side = "left" if right < 0 else "right"
-            moves.append(f"{abs(right):.2g} m {side}")
-        changes.append(f"{effect['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
+        if abs(right) >= _NO_CHANGE:
+            moves.append(f"{abs(right):.2g} m {_side(right)}")
+        changes.append(f"{effect.by:.3g} {words}: {', '.join(moves) or 'no change'}")
     if not changes:
         return ""
     return f"Sensitivity of the resting position: {'; '.join(changes)}."
 
 
 class _HeldOutRow(NamedTuple):
-    """A channel of the rows that were not fitted."""
+    """A channel of the rows that were not fitted, with its entry in
+    `HeldOut.channels`."""
 
     name: str
-    of: dict[str, float]
+    numbers: dict[str, float]
 
 
 _CHECK_COLUMNS: tuple[Column[_HeldOutRow], ...] = (
     Column("held out", lambda row: f"{row.name} ({UNITS[row.name]})"),
-    Column("rows", lambda row: row.of["rows"], ".0f", right=True),
-    Column("rms", lambda row: row.of["rms"], ".3g", right=True),
-    Column("within 68 %", lambda row: row.of["inside_68"], ".0%", right=True),
-    Column("within 95 %", lambda row: row.of["inside_95"], ".0%", right=True),
+    Column("rows", lambda row: row.numbers["rows"], ".0f", right=True),
+    Column("rms", lambda row: row.numbers["rms"], ".3g", right=True),
+    Column("within 68 %", lambda row: row.numbers["inside_68"], ".0%", right=True),
+    Column("within 95 %", lambda row: row.numbers["inside_95"], ".0%", right=True),
     Column(
         "error at end",
-        lambda row: row.of["end"],
-        words=lambda row: format_estimate(row.of["end"], row.of["end_sd"])[0],
+        lambda row: row.numbers["end"],
+        words=lambda row: format_estimate(row.numbers["end"], row.numbers["end_sd"])[0],
         right=True,
     ),
     Column(
         "std. dev.",
-        lambda row: row.of["end_sd"],
-        words=lambda row: format_estimate(row.of["end"], row.of["end_sd"])[1],
+        lambda row: row.numbers["end_sd"],
+        words=lambda row: format_estimate(row.numbers["end"], row.numbers["end_sd"])[1],
         right=True,
     ),
 )

@@ -42,33 +42,25 @@ _TURNS = {
 }
 
 
-class BothTurns(NamedTuple):
-    """The in-turn and the out-turn of a call, with what is given of their starts."""
+def with_turn(
+    call: Call, start: Mapping[str, float], turn: str
+) -> tuple[Call, dict[str, float]]:
+    """One of both turns of a call, "in" or "out", and what is given of its start.
 
-    in_turn: Call
-    in_start: dict[str, float]
-    out_turn: Call
-    out_start: dict[str, float]
-
-
-def both_turns(call: Call, given: Mapping[str, float]) -> BothTurns:
-    """Both turns of a call, and of what is given of its start: broom, place, heading
-    and spin are those of the in-turn, and of the out-turn their mirror images."""
-    in_start = dict(given)
-    out_start = dict(given)
-    for name in ("x0", "heading"):
-        if name in given:
-            out_start[name] = -given[name]
-    if "omega0" in given:
-        in_start["omega0"] = _TURNS["in"] * abs(given["omega0"])
-        out_start["omega0"] = _TURNS["out"] * abs(given["omega0"])
-    out_broom = None if call.broom is None else -call.broom
-    return BothTurns(
-        in_turn=replace(call, turn="in"),
-        in_start=in_start,
-        out_turn=replace(call, turn="out", broom=out_broom),
-        out_start=out_start,
-    )
+    Broom, place, heading and spin are those of the in-turn; the out-turn has their
+    mirror images.
+    """
+    start_of_turn = dict(start)
+    broom = call.broom
+    if turn == "out":
+        for name in ("x0", "heading"):
+            if name in start:
+                start_of_turn[name] = -start[name]
+        if broom is not None:
+            broom = -broom
+    if "omega0" in start:
+        start_of_turn["omega0"] = _TURNS[turn] * abs(start["omega0"])
+    return replace(call, turn=turn, broom=broom), start_of_turn
 
 
 class PlannedThrow(NamedTuple):
@@ -92,7 +84,7 @@ class PlannedThrow(NamedTuple):
 def planned(
     fit: FitResult,
     call: Call,
-    given: Mapping[str, float],
+    given_start: Mapping[str, float],
     line: str | None,
     target: tuple[float, float] | None,
     weight: str | None,
@@ -106,38 +98,55 @@ def planned(
     InputError : contradictory or impossible requests; a place that the stone
         does not reach.
     """
-    called = _called(fit, call, given, line or "hog")
-    start = {**called, **given}
-    new = bool(start) or target is not None or weight is not None
+    start_of_call = _start_of_call(fit, call, given_start, line or "hog")
+    requested_start = {**start_of_call, **given_start}
+    new = bool(requested_start) or target is not None or weight is not None
     if not line:
         line = "data" if fit.counts_from_hack and not new else "hog"
-    _require(fit, start, line, target, weight, tee_speed)
-    fitted = {
+    _require_possible(fit, requested_start, line, target, weight, tee_speed)
+    fitted_start = {
         component.name: fit.parameters[component.name].value for component in START
     }
-    default: dict[str, float] = {}
+    default_start: dict[str, float] = {}
     if new:
-        default = {"x0": fitted["x0"], "y0": fitted["y0"], "heading": 0.0, "phi0": 0.0}
+        default_start["x0"] = fitted_start["x0"]
+        default_start["y0"] = fitted_start["y0"]
+        default_start["heading"] = 0.0
+        default_start["phi0"] = 0.0
     if line != "data":
-        default |= {"x0": 0.0, "y0": LINES[line]}
-    goal = _goal(target, weight, tee_speed, free_heading="heading" not in start)
-    solved = {} if goal is None else _solved(fit, goal, fitted | default | start)
+        default_start["x0"] = 0.0
+        default_start["y0"] = LINES[line]
+    goal = _goal(
+        target, weight, tee_speed, free_heading="heading" not in requested_start
+    )
+    found_start: dict[str, float] = {}
+    if goal is not None:
+        start = fitted_start | default_start | requested_start
+        aim_at_goal = aimed(
+            fit,
+            (goal.x or 0.0, TEE + goal.y),
+            start["omega0"],
+            speed=goal.speed,
+            start=(start["x0"], start["y0"]),
+            heading=start["heading"] if goal.x is None else None,
+        )
+        found_start = aim_at_goal._asdict()
     # each source has the last word over those above it
-    sources: dict[Origin, Mapping[str, float]] = {
-        "fitted": fitted,
-        "default": default,
-        "found": solved,
-        "call": called,
-        "given": given,
+    starts: dict[Origin, Mapping[str, float]] = {
+        "fitted": fitted_start,
+        "default": default_start,
+        "found": found_start,
+        "call": start_of_call,
+        "given": given_start,
     }
     values: dict[str, float] = {}
     origins: dict[str, Origin] = {}
-    for origin, components in sources.items():
+    for origin, components in starts.items():
         values |= components
         origins |= dict.fromkeys(components, origin)
     shift = (0.0, 0.0)
     if not new:
-        shift = (values["x0"] - fitted["x0"], values["y0"] - fitted["y0"])
+        shift = (values["x0"] - fitted_start["x0"], values["y0"] - fitted_start["y0"])
     return PlannedThrow(fit, new, line, goal, values, origins, shift)
 
 
@@ -148,68 +157,53 @@ def _goal(
     *,
     free_heading: bool,
 ) -> Goal | None:
-    """See `PlannedThrow.goal`; None without a target or weight. A weight is on the
-    centre line, or at any x where the heading is given."""
+    """The point that a target or weight means, and the speed there; None without them.
+
+    A weight is on the centre line, or at any x where the heading is given.
+    """
     if target is not None:
-        x: float | None = target[0]
-        y = target[1]
-        speed = 0.0
-        words = "target" if any(target) else "to the tee"
-    elif weight is not None:
-        x = 0.0 if free_heading else None
-        y, speed = WEIGHTS[weight]
-        words = weight
-    else:
+        x, y = target
+        words = "target" if x or y else "to the tee"
+        return Goal(words=words, x=x, y=y, speed=0.0)
+    if weight is None:
         return None
+    y, speed = WEIGHTS[weight]
     if tee_speed is not None:
         speed = tee_speed
-    return Goal(words=words, x=x, y=y, speed=speed)
+    return Goal(words=weight, x=0.0 if free_heading else None, y=y, speed=speed)
 
 
-def _solved(fit: FitResult, goal: Goal, start: Mapping[str, float]) -> dict[str, float]:
-    """Speed and heading for a goal; the heading of the start where x is free."""
-    x = goal.x
-    return aimed(
-        fit,
-        (x or 0.0, TEE + goal.y),
-        start["omega0"],
-        speed=goal.speed,
-        start=(start["x0"], start["y0"]),
-        heading=start["heading"] if x is None else None,
-    )._asdict()
-
-
-def _called(
-    fit: FitResult, call: Call, given: Mapping[str, float], line: str
+def _start_of_call(
+    fit: FitResult, call: Call, given_start: Mapping[str, float], line: str
 ) -> dict[str, float]:
-    """Components of the initial state by the call."""
-    called = {}
+    """Components of the initial state by the call, of a throw that starts on a line."""
+    start = {}
     fitted_spin = fit.parameters["omega0"].value
     if call.turn is not None:
         if call.turn not in _TURNS:
             raise InputError(
                 f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}, both"
             )
-        called["omega0"] = _TURNS[call.turn] * abs(fitted_spin)
+        start["omega0"] = _TURNS[call.turn] * abs(fitted_spin)
     if call.broom is not None:
         # aimed from the hack, where x and y are 0, at the broom at the far tee
         slope = call.broom / TEE
         y0 = LINES.get(line, fit.parameters["y0"].value)
-        called["heading"] = math.atan(slope)
-        called["x0"] = slope * y0
+        start["heading"] = math.atan(slope)
+        start["x0"] = slope * y0
     if call.hog_to_hog is not None:
         if line != "hog":
             raise InputError(
                 "hog to hog: the throw starts on the near hog line; leave out line"
             )
-        spin = given.get("omega0", called.get("omega0", fitted_spin))
+        spin = given_start.get("omega0", start.get("omega0", fitted_spin))
         draw = Draw(fit.model, fit.stone)
         coefficients = fit.values[None, : -len(START)]
-        called["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
-    return called
+        start["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
+    return start
 
 
-def _require(
+def _require_possible(
     fit: FitResult,
     start: Mapping[str, float],
     line: str,

@@ -27,6 +27,8 @@ from curlfit.prediction.result import (
 from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
+_FEWEST_AT_REST = 0.5  # part of the draws, below which there is no prediction
+_NEARLY_ALL = 0.975  # part of the draws, at whose rest the series ends
 _SAMPLED = 60  # draws kept
 _SAMPLE_TIMES = 30  # of each draw kept
 _DIGITS = 4  # decimals of the draws kept: 0.1 mm
@@ -58,43 +60,49 @@ class Simulation(NamedTuple):
         throws: ThrowFamily,
         values: Floats,
         random: np.random.Generator,
-        call: Call | None = None,
+        joint_call: Call | None,
     ) -> Self:
-        """Simulate a throw for drawn parameter vectors; with a call, those of a joint
-        fit, which contain the error of the law.
+        """Simulate a throw for drawn parameter vectors.
+
+        `joint_call` is the call of a throw on the ice of a joint fit, whose draws
+        contain the error of the law. It is None on that of one throw: each draw is then
+        simulated again with missing accelerations.
 
         Raises
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
         fit = throws.fit
-        plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
-        best = throws.simulate(throws.with_start(fit.values[None]))
+        drawn = throws.with_start(values, joint_call or CENTRED, random)
+        t = throws.times_to_rest(drawn)
+        plain = throws.simulate(drawn, t)
+        best = throws.simulate(throws.with_start(fit.values[None]), t)
         varied = {
-            name: throws.simulate(vectors) for name, vectors in throws.varied().items()
+            name: throws.simulate(vectors, t)
+            for name, vectors in throws.varied().items()
         }
-        null_ends = [throws.simulate(vectors) for vectors in throws.null_ends()]
-        if not best.good[0]:
+        null_ends = [throws.simulate(vectors, t) for vectors in throws.null_ends()]
+        if not best.comes_to_rest[0]:
             raise UnusableFitError(
                 f"the {fit.law} law as fitted does not bring this stone to rest"
                 + no_motion_because(fit.load)
             )
         full = plain
         discrepancy = None
-        if call is None:
+        if joint_call is None:
             posterior = discrepancy_posterior(fit)
             discrepancy = posterior.summary
             missing = posterior.draw(len(values), random)
             shifted = throws.with_start(posterior.shift_parameters(values, missing))
-            full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
-        rests = plain.good & full.good
-        if rests.mean() < 0.5:
+            full = missing.applied_to(throws.simulate(shifted, t), throws.spin_ratio)
+        rests = plain.comes_to_rest & full.comes_to_rest
+        if rests.mean() < _FEWEST_AT_REST:
             raise UnusableFitError(
                 f"only {rests.mean():.0%} of the draws come to rest; "
                 "the fit is too uncertain for this throw"
             )
         return cls(
-            t=throws.t,
+            t=t,
             best=best,
             plain=plain.select(rests),
             full=full.select(rests),
@@ -103,64 +111,53 @@ class Simulation(NamedTuple):
             discrepancy=discrepancy,
         )
 
-    def summary(self) -> dict[str, Any]:
-        """The fields of a `Prediction` that follow from the trajectories."""
-        path = self.full.positions_at(self.t)
-        return {
-            "misfit": self.discrepancy,
-            "series": self._series(path),
-            "band": self._band(path),
-            "rest": self._rest(),
-            "quantities": self._quantities(),
-            "chances": self._chances(),
-            "sensitivity": self._sensitivity(),
-            "sample": self._sample(path),
-        }
-
-    def _quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> dict[str, Quantity]:
         """The quantities of the throw that some draws have, with their errors."""
         quantities = {}
         best = _throw_quantities(self.best)
-        by_parameters = _throw_quantities(self.plain)
-        by_both = _throw_quantities(self.full)
+        plain_by_name = _throw_quantities(self.plain)
+        full_by_name = _throw_quantities(self.full)
         for name, (_, unit) in QUANTITIES.items():
-            plain = by_parameters[name]
-            full = by_both[name]
+            plain = plain_by_name[name]
+            full = full_by_name[name]
             has_both = np.isfinite(plain) & np.isfinite(full)
             if has_both.any():
-                errors = _errors(plain[has_both], full[has_both])
                 quantities[name] = Quantity(
                     value=float(best[name][0]),
                     unit=unit,
-                    **{error: float(size) for error, size in errors.items()},
+                    parameter_sd=float(plain[has_both].std()),
+                    model_sd=float(_model_sd(plain[has_both], full[has_both])),
                     quantiles=quantiles_of(full[has_both]),
                     share=float(np.isfinite(full).mean()),
                 )
         return quantities
 
-    def _series(self, path: Floats) -> dict[str, Floats]:
-        """The best path with its bands over time, until nearly all draws rest; `path`
-        is x, y, phi of the draws at `t`, shape (draws, 3, times)."""
-        rest_of_best = float(self.best.rest[0])
-        duration = max(rest_of_best, float(np.quantile(self.full.rest, 0.975)))
-        n = min(int(np.searchsorted(self.t, duration)) + 1, len(self.t))
-        x, y, phi, _, _, omega = self.best.state[0, :, :n]
-        series = {"t": self.t[:n], "x": x, "y": y, "phi": phi}
-        series["speed"] = self.best.speed[0, :n]
+    def series(self, paths: Floats) -> dict[str, Floats]:
+        """The best path with its bands over time, until nearly all draws rest; `paths`
+        are x, y, phi of the draws at `t`, shape (draws, 3, times)."""
+        time_of_best = float(self.best.time_of_rest[0])
+        time_of_most = float(np.quantile(self.full.time_of_rest, _NEARLY_ALL))
+        last = int(np.searchsorted(self.t, max(time_of_best, time_of_most)))
+        times = slice(min(last + 1, len(self.t)))
+        x, y, phi, _, _, omega = self.best.state[0, :, times]
+        series = {"t": self.t[times], "x": x, "y": y, "phi": phi}
+        series["speed"] = self.best.speed[0, times]
         series["omega"] = omega
         for row, name in enumerate(PREDICTED):
-            full = path[:, row, :n]
-            errors = _errors(self.plain.state[:, row, :n], full)
-            series |= {f"{name}_{error}": sizes for error, sizes in errors.items()}
-            series |= _around(name, full)
+            plain = self.plain.state[:, row, times]
+            full = paths[:, row, times]
+            series[f"{name}_parameter_sd"] = plain.std(0)
+            series[f"{name}_model_sd"] = _model_sd(plain, full)
+            series |= _quantile_rows(name, full)
         return series
 
-    def _sample(self, path: Floats) -> dict[str, Floats]:
-        """The first draws: a random sample, since the draws are in random order."""
-        rest = self.full.rest[:_SAMPLED]
+    def sample(self, paths: Floats) -> dict[str, Floats]:
+        """The first draws: a random sample, since the draws are in random order;
+        `paths` as in `series`."""
+        rest = self.full.time_of_rest[:_SAMPLED]
         last = int(np.searchsorted(self.t[:-1], rest.max()))
         rows = np.unique(np.linspace(0, last, _SAMPLE_TIMES).astype(int))
-        x, y, phi = path[:_SAMPLED, :, rows].round(_DIGITS).swapaxes(0, 1)
+        x, y, phi = paths[:_SAMPLED, :, rows].round(_DIGITS).swapaxes(0, 1)
         return {
             "t": self.t[rows],
             "x": x,
@@ -169,15 +166,16 @@ class Simulation(NamedTuple):
             "rest": rest.round(_DIGITS),
         }
 
-    def _band(self, path: Floats) -> dict[str, Floats]:
-        """x as a function of y, up to the y that half of the draws reach."""
+    def band(self, paths: Floats) -> dict[str, Floats]:
+        """x as a function of y, up to the y that half of the draws reach; `paths` as
+        in `series`."""
         best = self.best.state[0]
-        farthest = float(np.median(path[:, 1].max(1)))
+        farthest = float(np.median(paths[:, 1].max(1)))
         y = np.linspace(float(best[1, 0]), farthest, _BAND_POINTS)
-        x_of_draws = np.array([_x_at(draw, y) for draw in path])
-        return {"y": y, "x": _x_at(best, y)} | _around("x", x_of_draws)
+        x_of_draws = np.array([_x_at(path, y) for path in paths])
+        return {"y": y, "x": _x_at(best, y)} | _quantile_rows("x", x_of_draws)
 
-    def _rest(self) -> RestingPlace:
+    def resting_place(self) -> RestingPlace:
         """Mean and covariances of x and y at rest."""
         plain = self.plain.end[:, :2]
         full = self.full.end[:, :2]
@@ -189,7 +187,7 @@ class Simulation(NamedTuple):
             both=np.cov(full.T).tolist(),
         )
 
-    def _chances(self) -> dict[str, float]:
+    def chances(self) -> dict[str, float]:
         """Fractions of the draws with each outcome."""
         x, y, _ = self.full.end.T
         # of the part of the stone that is nearest to the tee
@@ -202,31 +200,36 @@ class Simulation(NamedTuple):
         }
         return {name: float(happens.mean()) for name, happens in outcomes.items()}
 
-    def _sensitivity(self) -> dict[str, Sensitivity]:
-        """Change of the resting position with the initial state: by how much this is
-        changed, and m that the stone rests farther right and along."""
-        end = self.best.end[0]
-        effects = {}
+    def sensitivity(self) -> dict[str, Sensitivity]:
+        """How the resting place changes with the initial state and, of another throw
+        of a joint fit, with the time between hog lines and the broom."""
+        best_end = self.best.end[0]
+        changes = {}
         for name, change in VARIED.items():
-            if self.varied[name].good[0]:
-                right, along, _ = self.varied[name].end[0] - end
-                effects[name] = (change, right, along)
+            varied = self.varied[name]
+            if varied.comes_to_rest[0]:
+                right, along, _ = varied.end[0] - best_end
+                changes[name] = Sensitivity(change, float(right), float(along))
         # a heading turns the path clockwise about its start
-        x, y, _ = _HEADING_CHANGE * (end - self.best.state[0, :3, 0])
-        effects["heading"] = (_HEADING_CHANGE, y, -x)
-        if self.discrepancy is None and "v0" in effects:  # another throw of a joint fit
+        x, y, _ = _HEADING_CHANGE * (best_end - self.best.state[0, :3, 0])
+        changes["heading"] = Sensitivity(_HEADING_CHANGE, float(y), float(-x))
+        if self.discrepancy is not None:
+            return changes
+        if "v0" in changes:
+            faster = changes["v0"]
             hog_to_hog = _throw_quantities(self.best)["hog_to_hog"][0]
             when_faster = _throw_quantities(self.varied["v0"])["hog_to_hog"][0]
             steps = _WEIGHT_CHANGE / (when_faster - hog_to_hog)  # of v0, negative
             if np.isfinite(steps):
-                _, right, along = effects["v0"]
-                effects["hog_to_hog"] = (_WEIGHT_CHANGE, steps * right, steps * along)
-            across = FOOT * end[1] / TEE  # about the hack, from which it is aimed
-            effects["broom"] = (FOOT, across, 0.0)
-        return {
-            name: Sensitivity(by=change, right=float(right), along=float(along))
-            for name, (change, right, along) in effects.items()
-        }
+                changes["hog_to_hog"] = Sensitivity(
+                    by=_WEIGHT_CHANGE,
+                    right=float(steps * faster.right),
+                    along=float(steps * faster.along),
+                )
+            # the path turns about the hack, from which the broom is aimed at
+            right = FOOT * best_end[1] / TEE
+            changes["broom"] = Sensitivity(by=FOOT, right=float(right), along=0.0)
+        return changes
 
 
 def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
@@ -242,29 +245,27 @@ def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
         "rest_to_tee": np.hypot(x, y - TEE),
         "curl": ((x - x0) * vy - (y - y0) * vx) / np.hypot(vx, vy),
         "turns": (phi - phi0) / (2 * math.pi),
-        "time": ensemble.rest,
+        "time": ensemble.time_of_rest,
         "hog_to_hog": far_hog.time - hog.time,
         "hog_to_tee": tee.time - hog.time,
-        "hog_to_rest": ensemble.rest - far_hog.time,
+        "hog_to_rest": ensemble.time_of_rest - far_hog.time,
         "speed_at_hog": hog.speed,
         "speed_at_far_hog": far_hog.speed,
         "speed_at_tee": tee.speed,
     }
 
 
-def _errors(plain: Floats, full: Floats) -> dict[str, Floats]:
-    """Errors by the parameters and by the model discrepancy, over the draws."""
-    return {
-        "parameter_sd": plain.std(0),
-        "model_sd": np.sqrt(np.mean((full - plain) ** 2, axis=0)),
-    }
+def _model_sd(plain: Floats, full: Floats) -> Any:
+    """Root mean square over the draws of what the model discrepancy changes."""
+    return np.sqrt(np.mean((full - plain) ** 2, axis=0))
 
 
-def _around(name: str, values: Floats) -> dict[str, Floats]:
-    """Quantiles over the draws, except the median, by name and level."""
-    levels = np.nanquantile(values, [float(level) / 100 for level in LEVELS], axis=0)
-    rows = zip(LEVELS, levels, strict=True)
-    return {f"{name}_{level}": row for level, row in rows if level != "50"}
+def _quantile_rows(name: str, values: Floats) -> dict[str, Floats]:
+    """Quantiles over the draws by name and level, such as "x_2.5"; the median is left
+    out, since the best estimate stands in its place."""
+    levels = [level for level in LEVELS if level != "50"]
+    rows = np.nanquantile(values, [float(level) / 100 for level in levels], axis=0)
+    return {f"{name}_{level}": row for level, row in zip(levels, rows, strict=True)}
 
 
 def _x_at(path: Floats, y: Floats) -> Floats:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, Modelling, Reading
 from curlfit.settings.forms import NAMES, Several, numbers, option
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.model.request import Request
 
 _RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas=False)
 
@@ -67,15 +71,28 @@ def profile(
         )
     range_by_name = dict(zip(param, ranges, strict=False))
     kind = f"profile-{'-'.join(param)}"
-    source = _source(data, kind, flags, reading, config)
-    parameters = source.parameters
+    saved = data.is_dir() or data.name == "fit.json"
+    if saved:
+        _refuse_choices(flags, reading, config)
+        choices = flags
+        fit, chain = s.load_fit_and_chain(data, flags.law)
+        parameters = fit.parameter_set
+        usual_folder = Path(f"{s.name_of(data)}-{kind}")
+    else:
+        job = s.prepare(data, config, reading, flags)
+        choices = job.chosen
+        request = job.request
+        parameters = request.parameters
+        usual_folder = s.result_folder(data, kind, reading)
     require_usable(parameters, param, points, range_by_name)
     drawn.draw_beside()
     with output.status(f"Fitting {COMPILES}"):
-        fit, chain = source.fit()
+        if not saved:
+            fit = _fit(request)
+            chain = None
         best = parameters.values_of(fit.values)
         require_usable(parameters, param, points, range_by_name, best)
-        folder = claim_folder(output.out or source.folder)
+        folder = claim_folder(output.out or usual_folder)
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
         result = compute_profile(
@@ -85,48 +102,28 @@ def profile(
     words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
     if points:
         words.append(f"--points={points}")
-    words += [*reading.words(), *source.choices.words()]
+    words += [*reading.words(), *choices.words()]
     result = replace(result, command=command_line("profile", str(data), *words))
     return output.finish(result, folder, drawn)
 
 
-class _Source(NamedTuple):
-    """What is profiled: a saved fit, or one still to be made."""
+def _refuse_choices(flags: Modelling, reading: Reading, config: Path | None) -> None:
+    """Raise `InputError` for a choice that a saved fit has made already; the law alone
+    may be given, as the file of a law of one's own."""
+    refused = [*replace(flags, law=None).words(), *reading.words()]
+    if config:
+        refused.append("--config")
+    if refused:
+        flag = refused[0].partition("=")[0]
+        raise InputError(f"{flag}: a saved fit has its own; give the data to fit again")
 
-    fit: Callable[[], Any]
-    """gives the fit and its chain, or None in place of that"""
-    parameters: Any
-    choices: Modelling
-    folder: Path
-    """where the profile is written by default"""
 
+def _fit(request: Request) -> FitResult:
+    """Fit a throw, while the program of the profile is compiled beside it."""
+    from curlfit.inference.fit.fit import fit_request
+    from curlfit.inference.fit.throw_stack import first_problem
+    from curlfit.inference.solve.least_squares import prepare_minimize
+    from curlfit.numerics.batches import FEW
 
-def _source(
-    data: Path, kind: str, flags: Modelling, reading: Reading, config: Path | None
-) -> _Source:
-    if data.is_dir() or data.name == "fit.json":
-        refused = [*replace(flags, law=None).words(), *reading.words()]
-        if config:
-            refused.append("--config")
-        if refused:
-            flag = refused[0].partition("=")[0]
-            raise InputError(
-                f"{flag}: a saved fit has its own; give the data to fit again"
-            )
-        fit, chain = s.load_fit_and_chain(data, flags.law)
-        folder = Path(f"{s.name_of(data)}-{kind}")
-        return _Source(lambda: (fit, chain), fit.parameter_set, flags, folder)
-    job = s.prepare(data, config, reading, flags)
-    request = job.request
-
-    def make() -> Any:
-        from curlfit.inference.fit.fit import fit_request
-        from curlfit.inference.fit.throw_stack import first_problem
-        from curlfit.inference.solve.least_squares import prepare_minimize
-        from curlfit.numerics.batches import FEW
-
-        prepare_minimize(*first_problem(request), FEW)
-        return fit_request(request), None
-
-    folder = s.result_folder(data, kind, reading)
-    return _Source(make, request.parameters, job.chosen, folder)
+    prepare_minimize(*first_problem(request), FEW)
+    return fit_request(request)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -91,11 +92,11 @@ def _chi_squared(profile: Profile, axes: Axes) -> None:
     plot(axes, Series(at, profile.delta, _PROFILE, "profile"))
     if posterior is not None:
         density = Series(
-            posterior["at"],
-            posterior["height"],
+            posterior.at,
+            posterior.height,
             _POSTERIOR,
             r"posterior, $-2\,\ln$ density",
-            sigma=posterior["error"],
+            sigma=posterior.error,
         )
         plot(axes, density)
     axes.plot(
@@ -138,7 +139,7 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
     if profile.verdict != ProfileVerdict.LIMITED:  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     at = profile.at[shown]
-    combined = {
+    in_combinations = {
         name for combination in profile.combinations for name in combination.weights
     }
     changes = {}
@@ -149,28 +150,18 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
             change = (series[shown] - estimate.value) / estimate.stderr
             if np.abs(change).max() > _MOVES:
                 changes[name] = change
-        elif name in combined:
+        elif name in in_combinations:
             values[name] = series[shown]
-    symbols = {
-        name: draw.symbol_of(profile.parameters[name]) for name in profile.others
-    }
     axes.axhline(0, **draw.ZERO_LINE.options())
     for name, style in zip(changes, draw.line_styles(len(changes)), strict=True):
-        plot(axes, Series(at, changes[name], style, symbols[name]))
+        symbol = draw.symbol_of(profile.parameters[name])
+        plot(axes, Series(at, changes[name], style, symbol))
     handles: list[Artist] = axes.get_legend_handles_labels()[0]
     axes.set_ylabel("change of other parameters\n(standard errors of each)")
     if values:
         right = axes.twinx()
-        right.grid(visible=False)
-        right.spines["right"].set_visible(True)
-        for name, style in zip(values, draw.line_styles(len(values)), strict=True):
-            style = replace(style, color="0.15", width=1.8)
-            plot(right, Series(at, values[name], style, f"{symbols[name]} (right)"))
+        _values_at_right(profile, right, at, values)
         handles += right.get_legend_handles_labels()[0]
-        units = {profile.parameters[name].unit for name in values} - {"", "1"}
-        unit = f" ({', '.join(sorted(units))})" if units else ""
-        right.set_ylabel(", ".join(symbols[name] for name in values) + unit)
-        right.margins(y=0.1)
     if not changes:
         axes.set_ylim(-1, 1)
         which = "others" if values else "parameters"
@@ -183,6 +174,24 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
             ncols=min(len(handles), 9),
             title="the other parameters, refitted",
         )
+
+
+def _values_at_right(
+    profile: Profile, axes: Axes, at: Floats, values: Mapping[str, Floats]
+) -> None:
+    """Values of parameters without a standard error, by name, on the axis at the
+    right."""
+    axes.grid(visible=False)
+    axes.spines["right"].set_visible(True)
+    symbols = [draw.symbol_of(profile.parameters[name]) for name in values]
+    styles = draw.line_styles(len(values))
+    for series, symbol, style in zip(values.values(), symbols, styles, strict=True):
+        style = replace(style, color="0.15", width=1.8)
+        plot(axes, Series(at, series, style, f"{symbol} (right)"))
+    units = {profile.parameters[name].unit for name in values} - {"", "1"}
+    unit = f" ({', '.join(sorted(units))})" if units else ""
+    axes.set_ylabel(", ".join(symbols) + unit)
+    axes.margins(y=0.1)
 
 
 def _label(axis: XAxis | YAxis, estimate: Estimate, name: str) -> None:

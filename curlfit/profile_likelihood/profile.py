@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from curlfit.errors import InputError, Option, UnusableFitError
 from curlfit.findings import Finding, Remedy
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.sampling.chain import Chain
@@ -44,6 +44,7 @@ _MAX_SAMPLES = 1500
 _REACH = 4.0  # standard errors to either side of the best value
 # delta chi squared at the ends of a range, over that of a 95 % region of two
 _HIGH = 1.5
+_REPETITIONS = 3  # of a profile, about a better fit that it met
 _ROUNDS = 8
 _FIRST = 1e-3  # first step of the search, in typical sizes
 _LAST = 30.0  # last step of the search, in typical sizes
@@ -54,7 +55,10 @@ _STEEP = 0.6
 _FLAT = 1e-3  # largest delta chi squared of a flat profile
 _HARDLY = 1.0  # largest delta chi squared of a parameter that is weakly determined
 _LARGE_PART = 0.5  # of an interval that ends at bounds of other parameters
+# delta chi squared below a threshold, outside the interval, of a second minimum
+_SECOND_MINIMUM = 0.1
 _BINS = 24
+_TAIL = 0.0005  # part of a posterior sample beyond either end of its histogram
 
 
 def profile(
@@ -108,8 +112,9 @@ def profile(
     if chain is not None and chain.names != parameters.names:
         raise InputError("the chain is of another fit: its parameters differ")
     refit = Refit(fit)
-    # A refit may be better than the fit; the profile is then made again about it.
-    for _ in range(3):
+    # A fit with parameters fixed may lead to a better one without; the profile is then
+    # made again about it.
+    for _ in range(_REPETITIONS):
         profiles = [
             _profile_one(refit, name, points, ranges.get(name), chain)
             for name in selected
@@ -119,7 +124,7 @@ def profile(
             result = _profile_pair(
                 refit, profiles[0], profiles[1], points, ranges, chain
             )
-        if not refit.improved():
+        if not refit.adopt_better_fit():
             break
     return result
 
@@ -128,14 +133,15 @@ def _profile_one(
     refit: Refit,
     name: str,
     points: int,
-    chosen: tuple[float, float] | None,
+    chosen_range: tuple[float, float] | None,
     chain: Chain | None,
 ) -> Profile:
     """The profile of one parameter, over a chosen range or that of `_search_range`."""
     fit = refit.fit
+    estimate = fit.parameters[name]
     fits = ConstrainedFits(refit, [name])
     best = float(fits.best[0])
-    low, high = _search_range(fits, name) if chosen is None else chosen
+    low, high = chosen_range or _search_range(fits, estimate)
     low = min(low, best)
     high = max(high, best)
     line = _settled(fits, np.unique([*np.linspace(low, high, points), best]))
@@ -147,6 +153,24 @@ def _profile_one(
     )
     free, stops = _unconstrained_part(fits, line, values)
     inside = (line >= free[0]) & (line <= free[1])
+    rise = float(np.nanmax(np.maximum(delta[inside], 0.0)))
+    intervals = tuple(
+        _interval(line, delta, best, free, estimate, level.name, level.delta_chi2)
+        for level in fits.levels
+    )
+    verdict = _verdict(rise, free, intervals[0])
+    # A chosen range that ends where neither a bound nor another parameter stops it may
+    # be too narrow.
+    lower, upper = fits.bounds
+    cut_below = free[0] == low != lower
+    cut_above = free[1] == high != upper
+    if (
+        chosen_range is not None
+        and (cut_below or cut_above)
+        and rise < fits.levels[-1].delta_chi2
+        and estimate.verdict != Verdict.NOT_IDENTIFIABLE
+    ):
+        verdict = ProfileVerdict.NARROW
     refitted = refit.parameters.free & (np.array(refit.parameters.names) != name)
     refitted_names = refit.parameters.names_where(refitted)
     posterior = fit.posterior
@@ -163,27 +187,23 @@ def _profile_one(
         at=line,
         delta=delta,
         others=dict(zip(refitted_names, values[:, refitted].T, strict=True)),
-        intervals=(),
+        intervals=intervals,
         free=free,
         stops=stops,
-        rise=float(np.nanmax(np.maximum(delta[inside], 0.0))),
-        verdict=ProfileVerdict.NARROW,  # until the intervals are known
-        combinations=tuple(sum_ for sum_ in fit.combinations if name in sum_.weights),
+        rise=rise,
+        verdict=verdict,
+        combinations=tuple(
+            combination
+            for combination in fit.combinations
+            if name in combination.weights
+        ),
         posterior=None if chain is None else _marginal(fit, chain, name, line, delta),
         quantiles={} if posterior is None else posterior.quantiles.get(name, {}),
-        warnings=(),
+        warnings=fit.warnings,
     )
-    intervals = tuple(
-        _interval_of(profile, level.name, level.delta_chi2) for level in fits.levels
-    )
-    # a range that ends where neither a bound nor another parameter does
-    lower, upper = fits.bounds
-    cut = chosen is not None and (free[0] == low != lower or free[1] == high != upper)
-    verdict = _verdict(profile, intervals[0], cut=cut)
-    profile = replace(profile, intervals=intervals, verdict=verdict)
     unfinished = sum(optimum is not None and not optimum.finished for optimum in optima)
     warnings = _warnings(refit, profile, unfinished, optima.count(None))
-    return replace(profile, warnings=(*fit.warnings, *warnings))
+    return replace(profile, warnings=(*profile.warnings, *warnings))
 
 
 def _settled(fits: ConstrainedFits, line: Floats) -> Floats:
@@ -200,29 +220,24 @@ def _settled(fits: ConstrainedFits, line: Floats) -> Floats:
     return line
 
 
-def _verdict(profile: Profile, first: Interval, *, cut: bool) -> ProfileVerdict:
-    """See `ProfileVerdict`; `first` is the 68 % interval, `cut` whether the given
-    range may be too narrow."""
-    if (
-        cut
-        and profile.rise < profile.levels[-1].delta_chi2
-        and profile.estimate.verdict != Verdict.NOT_IDENTIFIABLE
-    ):
-        return ProfileVerdict.NARROW
-    low, high = profile.free
-    mostly_free = high - low > _LARGE_PART * (first.high - first.low)
-    if not mostly_free or profile.rise >= _HARDLY:
+def _verdict(
+    rise: float, free: tuple[float, float], interval: Interval
+) -> ProfileVerdict:
+    """What a profile says of its parameter over a range that is wide enough, by its
+    rise within the free part and by the 68 % interval."""
+    low, high = free
+    mostly_free = high - low > _LARGE_PART * (interval.high - interval.low)
+    if not mostly_free or rise >= _HARDLY:
         return ProfileVerdict.LIMITED
-    if profile.rise < _FLAT:
+    if rise < _FLAT:
         return ProfileVerdict.FLAT
     return ProfileVerdict.HARDLY
 
 
-def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
+def _search_range(fits: ConstrainedFits, estimate: Estimate) -> tuple[float, float]:
     """Default range of a parameter: some standard errors where it has one, else as
     far as chi squared is low."""
     best = float(fits.best[0])
-    estimate = fits.refit.fit.parameters[name]
     if estimate.verdict.is_known and estimate.stderr:
         sharp = False
         step = _REACH * estimate.stderr
@@ -247,25 +262,26 @@ def _search_end(
     A sharp end is then bisected, by tens, to `_SHARP` of its distance.
     """
     best = float(fits.best[0])
-    limit = _HIGH * fits.levels[-1].delta_chi2_pair
-    inside = best  # the farthest value at which chi squared is low
-    outside = best
-    while outside == inside:
-        if inside == farthest:
+    high = _HIGH * fits.levels[-1].delta_chi2_pair
+    last_low = best  # the farthest value known at which chi squared is low
+    while True:
+        if last_low == farthest:
             return farthest
+        first_high = farthest
         if step < abs(farthest - best):
-            outside = best + math.copysign(step, farthest - best)
-        else:
-            outside = farthest
-        if fits.delta(np.array([[outside]]))[0] < limit:
-            inside = outside
-            step = 2 * step
-    while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
-        line = np.linspace(inside, outside, _SECTION + 1)
-        last_low = int(np.argmin(fits.delta(line[1:, None]) < limit))
-        inside, outside = line[last_low : last_low + 2].tolist()
-    has_path = np.isfinite(fits.delta(np.array([[outside]]))).all()
-    return outside if has_path else inside
+            first_high = best + math.copysign(step, farthest - best)
+        if not fits.delta(np.array([[first_high]]))[0] < high:  # high, or without path
+            break
+        last_low = first_high
+        step = 2 * step
+    while sharp and abs(first_high - last_low) > _SHARP * abs(first_high - best):
+        line = np.linspace(last_low, first_high, _SECTION + 1)
+        is_low = fits.delta(line[1:, None]) < high
+        first = int(np.argmin(is_low))
+        last_low = float(line[first])
+        first_high = float(line[first + 1])
+    has_path = np.isfinite(fits.delta(np.array([[first_high]]))).all()
+    return first_high if has_path else last_low
 
 
 def _refinement(
@@ -273,13 +289,13 @@ def _refinement(
 ) -> Floats:
     """Points to add where the profile crosses a threshold too steeply to
     be interpolated."""
+    # near a minimum the root of delta chi squared is nearly linear
     root = np.sqrt(np.maximum(delta, 0.0))
     low = np.minimum(root[:-1], root[1:])
     high = np.maximum(root[:-1], root[1:])
-    # including those of regions of two parameters
-    thresholds = np.reshape(
-        [[level.delta_chi2, level.delta_chi2_pair] for level in levels], (-1, 1)
-    )
+    thresholds = np.array(
+        [[level.delta_chi2, level.delta_chi2_pair] for level in levels]
+    ).reshape(-1, 1)  # for each of them all intervals
     crossed = ((low**2 < thresholds) & (thresholds <= high**2)).any(0)
     size = np.abs([line[:-1], line[1:], line[1:] - best]).max(0)
     apart = np.diff(line) > 1e-9 * size  # by more than rounding
@@ -295,47 +311,55 @@ def _unconstrained_part(
     that do beyond either end of it; `values` of all, shape (line, parameters)."""
     parameters = fits.refit.parameters
     stuck = fits.refit.at_bound(values)
-    stuck[:, fits.index] = False
+    stuck[:, fits.fixed] = False
     stuck &= ~stuck.all(0)  # one that is at a bound everywhere stops nothing
-
-    def end_of(outward: Any) -> tuple[float, tuple[str, ...]]:
-        """The last free value, and what stops; rows from the best value outward."""
-        stopped = np.flatnonzero(stuck[outward[1:]].any(1))
-        if not len(stopped):
-            return float(line[outward[-1]]), ()
-        last_free = outward[stopped[0]]
-        first_stuck = outward[stopped[0] + 1]
-        return float(line[last_free]), tuple(parameters.names_where(stuck[first_stuck]))
-
+    ends: list[float] = []
+    stops: list[tuple[str, ...]] = []
     best = fits.best[0]
-    low, below = end_of(np.flatnonzero(line <= best)[::-1])
-    high, above = end_of(np.flatnonzero(line >= best))
-    return (low, high), (below, above)
+    below = np.flatnonzero(line <= best)[::-1]
+    above = np.flatnonzero(line >= best)
+    for outward in (below, above):  # rows from the best value to an end of the line
+        stopped = np.flatnonzero(stuck[outward[1:]].any(1))
+        last_free = outward[stopped[0]] if len(stopped) else outward[-1]
+        ends.append(float(line[last_free]))
+        names: list[str] = []
+        if len(stopped):
+            first_stuck = outward[stopped[0] + 1]
+            names = parameters.names_where(stuck[first_stuck])
+        stops.append(tuple(names))
+    return (ends[0], ends[1]), (stops[0], stops[1])
 
 
-def _interval_of(profile: Profile, level: LevelName, threshold: float) -> Interval:
-    """Interval between the crossings of a threshold on either side of
-    the best value."""
-    finite = np.isfinite(profile.delta)
-    line = profile.at[finite]
-    delta = profile.delta[finite]
+def _interval(
+    line: Floats,
+    delta: Floats,
+    best: float,
+    free: tuple[float, float],
+    estimate: Estimate,
+    level: LevelName,
+    threshold: float,
+) -> Interval:
+    """Interval between the crossings of a threshold by delta chi squared along a line,
+    on either side of the best value; within the free part the data limit it."""
+    finite = np.isfinite(delta)
+    line = line[finite]
     # The root with the sign of the side is nearly linear except at bounds, where the
     # interpolation must not overshoot.
     root = PchipInterpolator(
-        line, np.sign(line - profile.best) * np.sqrt(np.maximum(delta, 0.0))
+        line, np.sign(line - best) * np.sqrt(np.maximum(delta[finite], 0.0))
     )
 
-    def end_of(sense: int, free_end: float, bound: float) -> tuple[float, Limit]:
+    def end_of(side: int, free_end: float, bound: float) -> tuple[float, Limit]:
         """End below (-1) or above (1) the best value, and what limits it."""
-        crossings = sense * root.solve(sense * math.sqrt(threshold), extrapolate=False)
+        crossings = side * root.solve(side * math.sqrt(threshold), extrapolate=False)
         if crossings.size:
-            end = float(sense * crossings.min())
-            return end, "data" if sense * (end - free_end) <= 0 else "others"
-        end = float(line[0 if sense < 0 else -1])
+            end = float(side * crossings.min())
+            return end, "data" if side * (end - free_end) <= 0 else "others"
+        end = float(line[0 if side < 0 else -1])
         return end, "bound" if math.isclose(end, bound, rel_tol=1e-12) else "range"
 
-    low, low_by = end_of(-1, profile.free[0], profile.estimate.lower)
-    high, high_by = end_of(1, profile.free[1], profile.estimate.upper)
+    low, low_by = end_of(-1, free[0], estimate.lower)
+    high, high_by = end_of(1, free[1], estimate.upper)
     return Interval(level, low, high, low_by, high_by)
 
 
@@ -343,7 +367,7 @@ def _warnings(
     refit: Refit, profile: Profile, unfinished: int, failed: int
 ) -> Iterator[Finding]:
     """Warnings about the fits, of which some did not converge or have no path."""
-    decrease = refit.first - refit.best.chi_squared
+    decrease = refit.chi_squared_of_fit - refit.best.chi_squared
     if decrease > BETTER:
         better = refit.parameters.values_of(refit.best.values)
         start = ",".join(
@@ -358,7 +382,7 @@ def _warnings(
         yield Finding.warning("values-without-motion", failed=failed, values=values)
     widest = profile.intervals[-1]
     outside = (profile.at < widest.low) | (profile.at > widest.high)
-    outside &= profile.delta < profile.levels[-1].delta_chi2 - 0.1
+    outside &= profile.delta < profile.levels[-1].delta_chi2 - _SECOND_MINIMUM
     if outside.any():
         lowest = profile.at[outside][np.argmin(profile.delta[outside])]
         yield Finding.warning("second-minimum", at=float(lowest))
@@ -369,7 +393,7 @@ def _marginal(
 ) -> PosteriorDensity | None:
     """-2 log of the marginal posterior density, shifted onto the profile."""
     samples = chain.of({name: 1.0})
-    low, high = np.quantile(samples, [0.0005, 0.9995])
+    low, high = np.quantile(samples, [_TAIL, 1 - _TAIL])
     counts, edges = np.histogram(samples, _BINS, (max(low, at[0]), min(high, at[-1])))
     if not counts.any():
         return None
@@ -423,6 +447,7 @@ def _profile_pair(
     delta = fits.delta(grid)
     covariance = _covariance(refit.fit, names)
     off_best = grid - np.array([first.best, second.best])
+    threshold = fits.levels[-1].delta_chi2_pair
     samples = np.zeros((0, 2))
     if chain is not None:
         samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
@@ -435,19 +460,28 @@ def _profile_pair(
         second=grid[..., 1],
         delta=delta,
         across=across,
-        extent={  # crossings of the threshold by each profile alone
-            level.name: (
-                _interval_of(first, level.name, level.delta_chi2_pair),
-                _interval_of(second, level.name, level.delta_chi2_pair),
-            )
+        extent={
+            level.name: (_extent(first, level), _extent(second, level))
             for level in fits.levels
         },
         covariance=covariance,
-        ellipse=_off_ellipse(
-            off_best, delta, covariance, fits.levels[-1].delta_chi2_pair
-        ),
+        ellipse=_off_ellipse(off_best, delta, covariance, threshold),
         samples=samples,
         warnings=first.warnings,
+    )
+
+
+def _extent(profile: Profile, level: Level) -> Interval:
+    """What the region of two parameters spans of one, by its profile alone: where this
+    crosses the threshold of two."""
+    return _interval(
+        profile.at,
+        profile.delta,
+        profile.best,
+        profile.free,
+        profile.estimate,
+        level.name,
+        level.delta_chi2_pair,
     )
 
 
@@ -513,5 +547,4 @@ def _covariance(fit: FitResult, names: Sequence[str]) -> Floats | None:
         without_error = fit.parameters[name].stderr is None
         if without_error or name not in fit.covariance.names:
             return None
-    rows = np.array([fit.first_order.vector({name: 1.0}) for name in names])
-    return np.asarray(rows @ fit.covariance.matrix @ rows.T)
+    return fit.covariance.among(names)

@@ -32,6 +32,10 @@ BETTER = 1e-3
 """Decrease of chi squared that makes another fit the better one."""
 _ROUNDS = 8
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
+# How far chi squared of neighbours in one valley may be from the integral of its slope
+# by the trapezoidal rule: a constant, and a part of how far it is above the best fit.
+_MISMATCH = 0.1
+_MISMATCH_OF_RISE = 0.1
 
 
 class Optimum(NamedTuple):
@@ -47,58 +51,70 @@ class Optimum(NamedTuple):
 
 
 class Refit:
-    """A fit to be repeated with parameters fixed, and the best one so far."""
+    """A fit to be repeated with parameters fixed, and the best fit that is known.
+
+    Attributes
+    ----------
+    best : the best fit without parameters fixed.
+    jacobian : derivatives of its residuals by all parameters.
+    lowest : the best of the fits with parameters fixed, since `best` is known.
+    chi_squared_of_fit : chi squared of the fit as it was given.
+    """
 
     def __init__(self, fit: FitResult) -> None:
         self.fit = fit
         self.parameters = fit.parameter_set
-        self.model = fit.model
         self._problem = problem_of(fit)
         self._penalty = self.parameters.penalty
-        self.lowest: Optimum | None = None
-        (solution,) = self._solved([], np.zeros((1, 0)), [fit.values])
+        solution = self._free_solution(fit.values)
         if solution is None:
             raise UnusableFitError("the fit has no path")
-        self._take(solution)
-        self.first = self.best.chi_squared  # of the fit as it was given
+        self._set_best(solution)
+        self.chi_squared_of_fit = self.best.chi_squared
 
-    def _take(self, solution: Solution) -> None:
+    def _set_best(self, solution: Solution) -> None:
         self.best = self._optimum(solution)
         self.jacobian = np.asarray(solution.jacobian)
+        self.lowest: Optimum | None = None
 
-    def _solved(
-        self, held: list[int], points: Floats, starts: Sequence[Floats]
+    def _free_solution(self, start: Floats) -> Solution | None:
+        """The fit without parameters fixed; None where there is no path."""
+        (solution,) = self._solutions([], np.zeros((1, 0)), [start])
+        return solution
+
+    def _solutions(
+        self, fixed: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Solution | None]:
-        """The fits with the parameters of the indices `held` at each of the points,
-        shape (starts, held); None where there is no path."""
+        """The fits with the parameters of the indices `fixed` at each of the points,
+        shape (starts, fixed); None where there is no path."""
         count = len(starts)
         lower = np.tile(self.parameters.lower, (count, 1))
         upper = np.tile(self.parameters.upper, (count, 1))
-        lower[:, held] = points
-        upper[:, held] = lower[:, held]
+        lower[:, fixed] = points
+        upper[:, fixed] = points
         problems, penalty = stacked([(self._problem, self._penalty)] * count)
         start = np.array(starts)
         tasks = Tasks(problems, start, lower, upper, self.parameters.typical, penalty)
-        solutions = unstacked(minimize_many(self.model, tasks, FEW))
+        solutions = unstacked(minimize_many(self.fit.model, tasks, FEW))
         return [
             solution if np.isfinite(solution.residual).all() else None
             for solution in solutions
         ]
 
     def optima(
-        self, held: list[int], points: Floats, starts: Sequence[Floats]
+        self, fixed: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Optimum | None]:
-        """The optima with the parameters `held` at each of the points; None where
-        there is no path."""
-        optima = [
-            None if solution is None else self._optimum(solution)
-            for solution in self._solved(held, points, starts)
-        ]
-        for optimum in optima:
-            if optimum is not None and (
-                self.lowest is None or optimum.chi_squared < self.lowest.chi_squared
-            ):
+        """The optima with the parameters of the indices `fixed` at each of the points,
+        shape (starts, fixed); None where there is no path."""
+        optima: list[Optimum | None] = []
+        for solution in self._solutions(fixed, points, starts):
+            if solution is None:
+                optima.append(None)
+                continue
+            optimum = self._optimum(solution)
+            if self.lowest is None or optimum.chi_squared < self.lowest.chi_squared:
                 self.lowest = optimum
+            optima.append(optimum)
         return optima
 
     def _optimum(self, solution: Solution) -> Optimum:
@@ -112,16 +128,16 @@ class Refit:
             finished=bool(solution.success),
         )
 
-    def improved(self) -> bool:
-        """Whether a better fit was found, which then replaces the fit."""
-        least = self.best.chi_squared - BETTER
-        if self.lowest is None or self.lowest.chi_squared > least:
+    def adopt_better_fit(self) -> bool:
+        """Continue the lowest of the fits with parameters fixed, without these; returns
+        whether this gives a better fit, which is then the best one."""
+        threshold = self.best.chi_squared - BETTER
+        if self.lowest is None or self.lowest.chi_squared > threshold:
             return False
-        (solution,) = self._solved([], np.zeros((1, 0)), [self.lowest.values])
-        if solution is None or solution.objective > least:
+        solution = self._free_solution(self.lowest.values)
+        if solution is None or solution.objective > threshold:
             return False
-        self._take(solution)
-        self.lowest = None
+        self._set_best(solution)
         return True
 
     def at_bound(self, values: Floats) -> Booleans:
@@ -131,7 +147,7 @@ class Refit:
         at_upper = values >= self.parameters.upper - near
         return self.parameters.free & (at_lower | at_upper)
 
-    def response(self, held: list[int]) -> tuple[Floats, Floats]:
+    def response(self, fixed: list[int]) -> tuple[Floats, Floats]:
         """Response of all parameters to fixed ones, shape (parameters, fixed), and
         stiffness, shape (fixed,).
 
@@ -140,7 +156,7 @@ class Refit:
         other fixed ones held.
         """
         parameters = self.parameters
-        is_held = np.isin(np.arange(len(parameters)), held)
+        is_fixed = np.isin(np.arange(len(parameters)), fixed)
         bounds = Bounded(self.best.values, parameters.lower, parameters.upper)
         information = Information.of(
             parameters.names,
@@ -149,11 +165,12 @@ class Refit:
             self.jacobian,
             np.zeros(self.jacobian.shape[:-1]),
         )
-        stays = self.at_bound(self.best.values) & ~is_held
-        marginal = information.held(stays).marginal(is_held)
+        stays = self.at_bound(self.best.values) & ~is_fixed
+        marginal = information.held(stays).marginal(is_fixed)
         stiffness = np.linalg.norm(marginal.information.slopes, axis=0)
-        in_order = np.argsort(np.argsort(held))  # of `held`, not of the parameters
-        return marginal.follow[:, in_order], stiffness[in_order]
+        # the marginal has the order of the parameters, not that of `fixed`
+        order = np.argsort(np.argsort(fixed))
+        return marginal.follow[:, order], stiffness[order]
 
 
 class ConstrainedFits:
@@ -161,6 +178,7 @@ class ConstrainedFits:
 
     Attributes
     ----------
+    fixed : indices of the fixed parameters.
     best : values of the fixed parameters in the best fit.
     levels : levels of confidence for these parameters.
     stiffness : see `Refit.response`.
@@ -168,46 +186,45 @@ class ConstrainedFits:
 
     def __init__(self, refit: Refit, names: Sequence[str]) -> None:
         self.refit = refit
-        self.names = tuple(names)
-        self.index = [refit.parameters.index(name) for name in names]
+        self.fixed = [refit.parameters.index(name) for name in names]
         self.levels = levels_for(names, refit.fit.parameters)
-        self.best = refit.best.values[self.index]
+        self.best = refit.best.values[self.fixed]
         best_point = tuple(self.best.tolist())
         self._optima: dict[Point, Optimum | None] = {best_point: refit.best}
-        self._response, self.stiffness = refit.response(self.index)
-        self._typical = refit.parameters.typical[self.index]
+        self._response, self.stiffness = refit.response(self.fixed)
+        self._typical = refit.parameters.typical[self.fixed]
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Bounds of the last of the fixed parameters."""
         parameters = self.refit.parameters
-        last = self.index[-1]
+        last = self.fixed[-1]
         return parameters.lower[last], parameters.upper[last]
 
     def at(self, points: Floats) -> list[Optimum | None]:
-        """The fits at points, shape (..., held), each started from the nearest of
+        """The fits at points, shape (..., fixed), each started from the nearest of
         those made before."""
-        keys = list(map(tuple, points.reshape(-1, len(self.names)).tolist()))
+        keys = list(map(tuple, points.reshape(-1, len(self.fixed)).tolist()))
         new = [key for key in dict.fromkeys(keys) if key not in self._optima]
         if new:
-            finished = [
-                optimum
-                for optimum in self._optima.values()
-                if optimum is not None and optimum.finished
-            ]
-            nearest = self._nearest(new, finished or [self.refit.best])
-            self._optima |= dict(zip(new, self._fitted(new, nearest), strict=True))
+            optima = self._fitted(new, self._nearest_finished(new))
+            self._optima |= dict(zip(new, optima, strict=True))
         return [self._optima[key] for key in keys]
 
-    def _nearest(
-        self, points: Sequence[Point], optima: Sequence[Optimum]
-    ) -> list[Optimum]:
-        """The optimum nearest to each point, in typical sizes of the fixed values."""
-        held = np.stack([optimum.values[self.index] for optimum in optima])
+    def _nearest_finished(self, points: Sequence[Point]) -> list[Optimum]:
+        """Of the optima whose search converged the nearest to each point, in typical
+        sizes of the fixed values."""
+        finished = [
+            optimum
+            for optimum in self._optima.values()
+            if optimum is not None and optimum.finished
+        ]
+        finished = finished or [self.refit.best]
+        values = np.stack([optimum.values[self.fixed] for optimum in finished])
         nearest = []
         for point in np.array(points):
-            distance = (((held - point) / self._typical) ** 2).sum(1)
-            nearest.append(optima[int(np.argmin(distance))])
+            distance = (((values - point) / self._typical) ** 2).sum(1)
+            nearest.append(finished[int(np.argmin(distance))])
         return nearest
 
     def _fitted(
@@ -216,15 +233,15 @@ class ConstrainedFits:
         """The fits at points, each started from an optimum along the response of the
         other parameters."""
         parameters = self.refit.parameters
-        held = np.array(points)
+        fixed_values = np.array(points)
         starts = []
-        for point, near in zip(held, neighbours, strict=True):
-            start = near.values + self._response @ (point - near.values[self.index])
+        for point, near in zip(fixed_values, neighbours, strict=True):
+            start = near.values + self._response @ (point - near.values[self.fixed])
             starts.append(np.clip(start, parameters.lower, parameters.upper))
-        return self.refit.optima(self.index, held, starts)
+        return self.refit.optima(self.fixed, fixed_values, starts)
 
     def delta(self, points: Floats) -> Floats:
-        """Delta chi squared at points, shape (..., held); NaN without a path."""
+        """Delta chi squared at points, shape (..., fixed); NaN without a path."""
         chi_squared = [
             math.nan if optimum is None else optimum.chi_squared
             for optimum in self.at(points)
@@ -232,7 +249,7 @@ class ConstrainedFits:
         return np.reshape(chi_squared, points.shape[:-1]) - self.refit.best.chi_squared
 
     def settle(self, grid: Floats) -> None:
-        """Fit on a grid, shape (n, m, held), and again where neighbours are not in one
+        """Fit on a grid, shape (n, m, fixed), and again where neighbours are not in one
         valley, each started from the other."""
         self.at(grid)
         pairs = _neighbours(grid)
@@ -258,7 +275,7 @@ class ConstrainedFits:
         for first, second in pairs:
             for point, neighbour in ((second, first), (first, second)):
                 optimum = self._optima[neighbour]
-                if optimum is not None and not self._agree(
+                if optimum is not None and not self._in_one_valley(
                     self._optima[point], optimum
                 ):
                     points.append(point)
@@ -266,23 +283,23 @@ class ConstrainedFits:
         return points, optima
 
     def _is_better(self, optimum: Optimum, point: Point) -> bool:
-        """Whether it is better than the one known at a point."""
+        """Whether an optimum is better than the one known at a point."""
         previous = self._optima[point]
         if previous is None:
             return True
         return optimum.chi_squared < previous.chi_squared - BETTER
 
-    def _agree(self, first: Optimum | None, second: Optimum) -> bool:
+    def _in_one_valley(self, first: Optimum | None, second: Optimum) -> bool:
         """Whether the slopes of chi squared integrate to its difference
         (trapezoidal rule)."""
         if first is None or not (first.finished and second.finished):
             return False
-        slopes = (first.gradient + second.gradient)[self.index]
-        step = (second.values - first.values)[self.index]
-        error = second.chi_squared - first.chi_squared - slopes @ step / 2
+        slopes = (first.gradient + second.gradient)[self.fixed]
+        step = (second.values - first.values)[self.fixed]
+        mismatch = second.chi_squared - first.chi_squared - slopes @ step / 2
         higher = max(first.chi_squared, second.chi_squared)
-        delta = higher - self.refit.best.chi_squared
-        return bool(abs(error) <= 0.1 + 0.1 * delta)
+        rise = higher - self.refit.best.chi_squared
+        return bool(abs(mismatch) <= _MISMATCH + _MISMATCH_OF_RISE * rise)
 
 
 def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:

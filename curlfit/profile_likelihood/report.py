@@ -29,13 +29,17 @@ from curlfit.wording import compact, format_estimate, from_to, join_words, two_d
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _EXACT = 1e-9  # of chi squared: rounding errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
-_VERDICTS = {
-    ProfileVerdict.LIMITED: ("limited by the data", ""),
-    ProfileVerdict.HARDLY: ("weakly determined", STYLE["weak"]),
-    ProfileVerdict.FLAT: ("not identifiable", STYLE["not identifiable"]),
-    ProfileVerdict.NARROW: ("unclear, for the range is too narrow", STYLE["weak"]),
+_VERDICT_WORDS = {
+    ProfileVerdict.LIMITED: "limited by the data",
+    ProfileVerdict.HARDLY: "weakly determined",
+    ProfileVerdict.FLAT: "not identifiable",
+    ProfileVerdict.NARROW: "unclear, for the range is too narrow",
 }
-"""What each verdict says, and its style."""
+_VERDICT_STYLES = {
+    ProfileVerdict.HARDLY: STYLE["weak"],
+    ProfileVerdict.FLAT: STYLE["not identifiable"],
+    ProfileVerdict.NARROW: STYLE["weak"],
+}
 
 
 def print_profile(
@@ -58,23 +62,25 @@ def document(profile: Profile | PairProfile) -> Document:
     lines: list[str] = []
     remarks: list[str | Text] = []
     if isinstance(profile, PairProfile):
-        lines.append(describe_pair(profile))
-        remarks.append(Said(lines[0]))
+        comparison = describe_pair(profile)
+        lines.append(comparison)
+        remarks.append(Said(comparison))
     for single in profile.each:
         if single.verdict == ProfileVerdict.LIMITED:
             lines.append(_limited(single))
             if single is profile:
                 remarks += _limits(single)
         else:
-            lines.append(describe_undetermined(single))
-            remarks.append(Said(lines[-1], style=_VERDICTS[single.verdict][1]))
+            reason = describe_undetermined(single)
+            lines.append(reason)
+            remarks.append(Said(reason, style=_VERDICT_STYLES[single.verdict]))
     file = first.data.file
     loss = LOSSES[first.loss].suffix
     fitted = f"{first.law} law, {first.load} load{loss}, fitted to {file}"
     warnings = [warning for single in profile.each for warning in single.warnings]
     return Document(
         finding=", ".join(
-            f"{single.name} {_VERDICTS[single.verdict][0]}" for single in profile.each
+            f"{single.name} {_VERDICT_WORDS[single.verdict]}" for single in profile.each
         ),
         subject=fitted,
         headline=Text.assemble(
@@ -261,27 +267,28 @@ def _extent_column(
 
 def _limits(profile: Profile) -> list[str]:
     """Remarks on the intervals of a parameter that the data limit."""
-    far = max(profile.departure.values(), default=None)
-    if far is None:
+    difference = max(profile.departure.values(), default=None)
+    if difference is None:
         remark = (
             "The covariance has no standard error for it "
             f"({profile.estimate.verdict}); the profile needs none."
         )
     elif LOSSES[profile.loss].is_robust:
         remark = (
-            f"Profile and covariance differ by up to {far:.2g} standard errors: "
+            f"Profile and covariance differ by up to {difference:.2g} standard errors: "
             "the covariance uses the scatter of the residuals, the profile the noise "
             "implied by the loss."
         )
-    elif far <= _AGREE:
+    elif difference <= _AGREE:
         remark = (
             "Profile and covariance agree: no limit differs by more than "
-            f"{max(far, 0.01):.1g} standard errors."
+            f"{max(difference, 0.01):.1g} standard errors."
         )
     else:
         remark = (
-            f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
-            "squared is not quadratic, as the covariance assumes. Use the profile."
+            f"Profile and covariance differ, by up to {difference:.2g} standard "
+            "errors: chi squared is not quadratic, as the covariance assumes. "
+            "Use the profile."
         )
     remarks = [remark]
     widest = profile.intervals[-1]

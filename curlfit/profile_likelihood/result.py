@@ -26,7 +26,6 @@ from curlfit.records import SERIES, Entry, Matrix, Pairs, Record, require, requi
 _MIN_POINTS = 5  # of a parameter
 _MAX_POINTS = 2001
 
-
 LevelName = Literal["68 %", "95 %"]
 
 
@@ -51,20 +50,24 @@ class Level(NamedTuple):
 def levels_of(dof: float | None) -> tuple[Level, ...]:
     """68 % and 95 % for standard errors of `dof` degrees of freedom; None where
     sigma was given."""
-    of_name: dict[LevelName, tuple[float, tuple[str, str]]] = {
-        "68 %": (math.erf(math.sqrt(0.5)), ("16", "84")),
-        "95 %": (0.95, ("2.5", "97.5")),
-    }
-    levels = []
-    for name, (probability, quantiles) in of_name.items():
-        sigmas = student_quantile(probability, dof)
-        log_beyond = math.log(1 - probability)
-        if dof is None:  # the quantile of chi squared with 2 degrees of freedom
-            pair = -2 * log_beyond
-        else:  # twice the quantile of F with 2 and dof degrees of freedom
-            pair = dof * math.expm1(-2 * log_beyond / dof)
-        levels.append(Level(name, sigmas**2, pair, sigmas, quantiles))
-    return tuple(levels)
+    one_sigma = math.erf(math.sqrt(0.5))  # 68.27 %
+    return (
+        _level("68 %", one_sigma, dof, ("16", "84")),
+        _level("95 %", 0.95, dof, ("2.5", "97.5")),
+    )
+
+
+def _level(
+    name: LevelName, probability: float, dof: float | None, quantiles: tuple[str, str]
+) -> Level:
+    """The level of a probability, with its thresholds."""
+    sigmas = student_quantile(probability, dof)
+    log_beyond = math.log(1 - probability)
+    if dof is None:  # the quantile of chi squared with 2 degrees of freedom
+        delta_chi2_pair = -2 * log_beyond
+    else:  # twice the quantile of F with 2 and dof degrees of freedom
+        delta_chi2_pair = dof * math.expm1(-2 * log_beyond / dof)
+    return Level(name, sigmas**2, delta_chi2_pair, sigmas, quantiles)
 
 
 def levels_for(
@@ -243,11 +246,17 @@ class Profile(Record):
         value = self.estimate.value
         stderr = self.estimate.stderr
         departures: dict[str, float] = {}
+        if not stderr:
+            return departures
         for interval, level in zip(self.intervals, self.levels, strict=True):
-            for end, sign in zip(interval.limits, (-1, 1), strict=True):
-                if stderr and end is not None:
-                    apart = abs((end - value) / stderr - sign * level.sigmas)
-                    departures[level.name] = max(apart, departures.get(level.name, 0.0))
+            low, high = interval.limits
+            differences = []
+            if low is not None:
+                differences.append(abs((low - value) / stderr + level.sigmas))
+            if high is not None:
+                differences.append(abs((high - value) / stderr - level.sigmas))
+            if differences:
+                departures[level.name] = max(differences)
         return departures
 
     def to_frame(self) -> Any:

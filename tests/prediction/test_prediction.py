@@ -466,7 +466,7 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
     np.testing.assert_allclose(place[0], expected[0], atol=2e-4)
     np.testing.assert_allclose(place[1], expected[1], atol=2e-4)
     np.testing.assert_allclose(place[2], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6)
-    assert found.rest[0] == pytest.approx(rest, abs=1e-6)
+    assert found.time_of_rest[0] == pytest.approx(rest, abs=1e-6)
     nothing = law.with_accelerations(0.0 * one)
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 

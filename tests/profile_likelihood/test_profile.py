@@ -281,7 +281,7 @@ def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit, sharp):
 
 def test_what_the_fits_of_a_profile_met_is_said(fit, sharp):
     refit = Refit(fit)
-    refit.first = refit.best.chi_squared + 5
+    refit.chi_squared_of_fit = refit.best.chi_squared + 5
     delta = sharp.delta.copy()
     delta[-1] = 0.5
     warnings = _warnings(refit, replace(sharp, delta=delta), unfinished=2, failed=1)
