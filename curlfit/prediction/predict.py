@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import InputError, Option, UnusableFitError
 from curlfit.findings import Finding, Level, Remedy
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
@@ -290,13 +290,18 @@ def _posterior_of_throw(
     Raises
     ------
     InputError, UnusableFitError : no fit of one throw, one that cannot be used, a call
-        of groups, which one throw lacks, or the chain of another fit.
+        of groups or with a thrower's scatter, which one throw lacks, or the chain of another fit.
     """
     require_fit(fit)
     if call.labels:
         raise InputError(
             f"{', '.join(call.labels)}: the fit of one throw has no "
             "groups; leave it out"
+        )
+    if call.thrower is not None:
+        raise InputError(
+            f"{Option('thrower-sd')}: the fit of one throw predicts a stone that is "
+            "released as it is given; leave it out, or fit several throws together"
         )
     _require_predictable(fit, draws)
     findings: tuple[Finding, ...] = ()
