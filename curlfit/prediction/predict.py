@@ -290,7 +290,8 @@ def _posterior_of_throw(
     Raises
     ------
     InputError, UnusableFitError : no fit of one throw, one that cannot be used, a call
-        of groups or with a thrower's scatter, which one throw lacks, or the chain of another fit.
+        of groups or with a thrower's scatter, which one throw lacks, or the chain of
+        another fit.
     """
     require_fit(fit)
     if call.labels:
