@@ -28,21 +28,23 @@ QUANTITIES = {
 }
 """Quantities measured at an event, with their units."""
 RATES = ("speed", "omega")
-"""Those of the motion at a line."""
+"""Quantities of the motion at a line."""
 SIGMA_TIME = 0.1
 """Standard deviation in s of a hand-timed interval between two events. Each press of
 the button scatters by 0.07 s about a delay common to both, as 4304 reaction times of
 timekeepers show (Manual timing in physics experiments: error and uncertainty, Am. J.
 Phys. 87 (2019) 110)."""
-MOST_LINES, MOST_EVENTS = 6, 9
-# columns of weights, of lines and at rest
+MOST_LINES = 6
+MOST_EVENTS = 9
+# Columns of the weights of times, x and y, at lines and at rest: see `EventArrays`.
 _TIMES = [*range(MOST_LINES), 3 * MOST_LINES]
-_X, _Y = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1], [3 * MOST_LINES + 2]
+_X = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
+_Y = [3 * MOST_LINES + 2]
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
 _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
-# s and m to rest, where neither was measured
-_TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0
+_TYPICAL_TIME = 25.0  # s to rest, where it was not measured
+_TYPICAL_LENGTH = 28.0  # m to rest, likewise
 # standard deviation of the logarithm of the distance, where no measurement tells it
 _LENGTHS_APART = 0.3
 
@@ -75,32 +77,28 @@ class Event:
     since: float | None = None
 
     def __post_init__(self) -> None:
-        q, sigma = self.quantity, self.sigma
-        for sound, fault in (
-            (
-                q in QUANTITIES,
-                f"{quoted(q)} found, expected one of {', '.join(QUANTITIES)}",
-            ),
-            (
-                q != "y" or self.since is None,
-                "`since` is given, expected none: y is measured from the hack",
-            ),
-            (
-                q != "y" or self.at is None,
-                "`at` is given, expected none: y is measured at rest",
-            ),
-            (
-                q not in RATES or (self.at is not None and self.since is None),
-                "expected `at` and no `since`: speed and spin are those at a line",
-            ),
-            (
-                math.isfinite(self.value),
-                f"{self.value} found, expected a finite number",
-            ),
-            (0 < sigma < math.inf, f"sigma = {sigma:g}, expected a positive number"),
-        ):
-            if not sound:
-                raise InputError(f"event {self.name}: {fault}")
+        if self.quantity not in QUANTITIES:
+            raise self._error(
+                f"{quoted(self.quantity)} found, expected one of "
+                f"{', '.join(QUANTITIES)}"
+            )
+        if self.quantity == "y" and self.since is not None:
+            raise self._error(
+                "`since` is given, expected none: y is measured from the hack"
+            )
+        if self.quantity == "y" and self.at is not None:
+            raise self._error("`at` is given, expected none: y is measured at rest")
+        if self.quantity in RATES and (self.at is None or self.since is not None):
+            raise self._error(
+                "expected `at` and no `since`: speed and spin are those at a line"
+            )
+        if not math.isfinite(self.value):
+            raise self._error(f"{self.value} found, expected a finite number")
+        if not 0 < self.sigma < math.inf:
+            raise self._error(f"sigma = {self.sigma:g}, expected a positive number")
+
+    def _error(self, fault: str) -> InputError:
+        return InputError(f"event {self.name}: {fault}")
 
     @property
     def unit(self) -> str:
@@ -123,21 +121,23 @@ class EventArrays(NamedTuple):
     spin at the lines"""
 
     def with_clock(self, rate: float) -> EventArrays:
-        """The same events with all measured times longer by a factor."""
+        """The events with all measured times longer by a factor."""
         weights = self.weights.copy()
         weights[..., _TIMES] *= rate
         return self._replace(weights=weights)
 
     def with_lengths(self, scale: float, y0: Any) -> EventArrays:
-        """The same events with all measured lengths longer by a factor, about
-        y0 and x = 0."""
+        """The events with all measured lengths longer by a factor, about y0 and
+        x = 0."""
         weights = self.weights.copy()
         weights[..., _X + _Y] *= scale
         return EventArrays(y0 + (self.lines - y0) / scale, weights)
 
     def sums_of_places(self) -> Floats:
         """The sums of the weights of x and of y, shape (..., events, 2)."""
-        return np.stack([self.weights[..., where].sum(-1) for where in (_X, _Y)], -1)
+        of_x = self.weights[..., _X].sum(-1)
+        of_y = self.weights[..., _Y].sum(-1)
+        return np.stack([of_x, of_y], -1)
 
 
 def lines_of(events: Sequence[Event]) -> list[float]:
@@ -167,12 +167,13 @@ def event_arrays(events: Sequence[Event]) -> EventArrays:
         name: at_rest["phi"] + 1 + k * MOST_LINES for k, name in enumerate(RATES)
     }
     for row, event in enumerate(events):
-        q = event.quantity
-        weights[
-            row, at_rest[q] if event.at is None else of_line[q] + lines.index(event.at)
-        ] += 1
+        if event.at is None:
+            column = at_rest[event.quantity]
+        else:
+            column = of_line[event.quantity] + lines.index(event.at)
+        weights[row, column] += 1
         if event.since is not None:
-            weights[row, of_line[q] + lines.index(event.since)] -= 1
+            weights[row, of_line[event.quantity] + lines.index(event.since)] -= 1
     padded = np.full(MOST_LINES, lines[-1] if lines else 0.0)
     padded[: len(lines)] = lines
     return EventArrays(padded, weights)
@@ -192,28 +193,33 @@ def along_path(
     Rows are interpolated linearly; the time of rest is extrapolated at constant
     deceleration from the first row below a tenth of the initial speed.
     """
-    late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
-    rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(
-        speed[late], 1e-9
-    )
-    series = {"time": np.append(t[:-1], rest), "x": x, "y": y, "phi": phi}
-    series |= {"speed": speed, "omega": omega}
+    slow = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
+    way_to_rest = math.hypot(x[-1] - x[slow], y[-1] - y[slow])
+    rest = t[slow] + 2 * way_to_rest / max(speed[slow], 1e-9)
+    series = {
+        "time": np.append(t[:-1], rest),
+        "x": x,
+        "y": y,
+        "phi": phi,
+        "speed": speed,
+        "omega": omega,
+    }
 
-    def at(line: float | None, quantity: str) -> float:
+    def value_at(line: float | None, quantity: str) -> float:
         if line is None:
             return float(series[quantity][-1])
         time = float(np.interp(line, y, t))
-        return (
-            time if quantity == "time" else float(np.interp(time, t, series[quantity]))
-        )
+        if quantity == "time":
+            return time
+        return float(np.interp(time, t, series[quantity]))
 
-    return np.array(
-        [
-            at(event.at, event.quantity)
-            - (0.0 if event.since is None else at(event.since, event.quantity))
-            for event in events
-        ]
-    )
+    values = []
+    for event in events:
+        value = value_at(event.at, event.quantity)
+        if event.since is not None:
+            value -= value_at(event.since, event.quantity)
+        values.append(value)
+    return np.array(values)
 
 
 def _even_motion(
@@ -232,39 +238,46 @@ def _even_motion(
     y0 = min(lines, default=assumed.get("y0", 0.0))
     s = np.geomspace(max(max(lines, default=y0) - y0, 0.1) * 1.001, _FARTHEST, 2000)
 
-    def crossing(y: float | None) -> Floats:
-        """Time of crossing over T, for each s."""
-        return np.ones_like(s) if y is None else 1 - np.sqrt(1 - (y - y0) / s)
+    def share_until(y: float | None) -> Floats:
+        """Time of crossing a line over T, for each s; 1 at rest."""
+        if y is None:
+            return np.ones_like(s)
+        return 1 - np.sqrt(1 - (y - y0) / s)
 
-    rest = [event for event in events if event.quantity == "y"]
-    total = sum((((y0 + s - e.value) / e.sigma) ** 2 for e in rest), np.zeros_like(s))
-    told: list[tuple[Any, Any, Any]] = [
-        (
-            crossing(e.at) - (0.0 if e.since is None else crossing(e.since)),
-            e.value,
-            e.sigma,
-        )
-        for e in events
-        if e.quantity == "time"
-    ]
-    for e in events:
-        if e.quantity == "speed":
-            times = 2 * s * (1 - crossing(e.at)) / e.value
-            told.append((np.ones_like(s), times, times * e.sigma / e.value))
+    chi_squared = np.zeros_like(s)
+    for event in events:
+        if event.quantity == "y":
+            chi_squared = chi_squared + ((y0 + s - event.value) / event.sigma) ** 2
+    # What is measured of T, for each s: a time is a share of it.
+    shares = []
+    times = []
+    sigmas = []
+    for event in events:
+        if event.quantity == "time":
+            share = share_until(event.at)
+            if event.since is not None:
+                share = share - share_until(event.since)
+            shares.append(share)
+            times.append(np.full_like(s, event.value))
+            sigmas.append(np.full_like(s, event.sigma))
+    for event in events:
+        if event.quantity == "speed":
+            time = 2 * s * (1 - share_until(event.at)) / event.value
+            shares.append(np.ones_like(s))
+            times.append(time)
+            sigmas.append(time * event.sigma / event.value)
     t = np.full_like(s, _TYPICAL_TIME)
-    if told:
-        parts = zip(*told, strict=True)
-        shares, value, sigma = (
-            np.stack([one + 0 * s for one in part]) for part in parts
-        )
-        t = np.maximum(
-            (shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3
-        )
-        total = total + (((t * shares - value) / sigma) ** 2).sum(0)
+    if shares:
+        share = np.stack(shares)
+        time = np.stack(times)
+        sigma = np.stack(sigmas)
+        weighted = (share * time / sigma**2).sum(0) / (share**2 / sigma**2).sum(0)
+        t = np.maximum(weighted, 1e-3)
+        chi_squared = chi_squared + (((t * share - time) / sigma) ** 2).sum(0)
     # One time alone says nothing of the distance: the shortest ones, of which many
     # times as much friction follows, are then as good as any.
-    total = total + (np.log(s / _TYPICAL_LENGTH) / _LENGTHS_APART) ** 2
-    best = int(np.argmin(total))
+    chi_squared = chi_squared + (np.log(s / _TYPICAL_LENGTH) / _LENGTHS_APART) ** 2
+    best = int(np.argmin(chi_squared))
     return y0, float(s[best]), float(t[best])
 
 

@@ -25,23 +25,29 @@ FEWEST = 10
 # in five 21 of 1,200; jumps of 2 m are found in all throws of 10 rows or more.
 _MOVED = 0.5  # m; the smallest
 _BESIDE = 7  # rows on either side
-# m, and fraction of outliers, above which jumps are not told from outliers
-_NOISY, _OUTLYING = 0.2, 0.15
+# Above this noise (m) or this fraction of outliers, a jump and an outlier look alike.
+_NOISY = 0.2
+_OUTLYING = 0.15
 _BRAKING = 0.3  # m/s^2; three times the deceleration by friction on ice
+_STRAIGHT = 0.02  # m; how far a row may be off a straight line without any noise
 _BLOCKS = 24
 # m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
 _REST = 0.03
 MIN_POSITIONS = 4
 """Positions needed to determine a speed."""
-# rows and time (s) at rest needed to detect rest
-_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2
+_MIN_REST_ROWS = 4  # needed to detect rest
+_MIN_REST_TIME = 0.2  # s; likewise
 _CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
 _CONFIDENCE = 3.0  # in standard errors
 _TURNED = 2.5  # rad, from the first angle; the stone is then turning freely
-_HELD, _ONSET = 0.4, 0.4  # s; shortest time in the hand, longest onset of the spin
+_HELD = 0.4  # s; shortest time in the hand
+_ONSET = 0.4  # s; longest onset of the spin
 _STILL = 0.15  # ratio of the spin in the hand to that after the release
-# rows and time (s) from which the final speed is estimated
-_END_ROWS, _END_TIME = 6, 1.0
+# The final speed is estimated from the rows of this time (s), and at least so many.
+_END_ROWS = 6
+_END_TIME = 1.0
+# Of a normal distribution the median of |v| is so many standard deviations.
+_MEDIAN_OF_NORMAL = 0.6745
 
 
 class MeasuredMotion(NamedTuple):
@@ -53,13 +59,14 @@ class MeasuredMotion(NamedTuple):
     speed, error : speed and its standard error in m/s, shape (k,).
     velocity : in m/s, shape (2, k).
     rows : number of rows with both x and y; some may be outliers.
-    times, positions : of the others, shape (n,) in s and (2, n) in m.
+    times, positions : of the rows that are no outliers, shape (n,) in s and (2, n) in
+        m.
     noise : standard deviations of x and y from row to row in m, shape (2,).
-    length : extent of the path, m. friction, friction_error : mean deceleration over g,
-        and its standard error.
+    length : extent of the path, m.
+    friction, friction_error : mean deceleration over g, and its standard error.
     curl, curl_error : deviation at the end from the initial direction in m, positive to
-        the left of the motion in right-handed axes, and its standard error. direction :
-        unit vector (x, y) of the motion.
+        the left of the motion in right-handed axes, and its standard error.
+    direction : unit vector (x, y) of the motion.
     """
 
     t: Floats
@@ -94,39 +101,40 @@ def path_of(throw: Throw) -> tuple[Floats, Floats]:
 
 def motion_of(throw: Throw) -> MeasuredMotion | None:
     """The motion of a throw; None if there are too few positions."""
-    every, places = path_of(throw)
-    if len(every) < FEWEST:
+    complete_times, complete_positions = path_of(throw)
+    rows = len(complete_times)
+    if rows < FEWEST:
         return None
-    noise = scatter(places)
-    t, positions = _without_outliers(every, places, noise)
-    if len(t) < len(every):
+    noise = scatter(complete_positions)
+    t, positions = _without_outliers(complete_times, complete_positions, noise)
+    if len(t) < rows:
         noise = scatter(positions)
     begin, end, middle, velocity, error = _block_slopes(t, positions, noise)
     speed = np.hypot(*velocity)
     if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
         rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-        error = np.maximum(error, float(median(rough)) / (0.6745 * math.sqrt(6)))
-    length = float(np.hypot(*np.ptp(positions, axis=1)))
-    friction, (curl, off, direction) = (
-        _friction(middle, speed, error),
-        _curl(t, positions),
-    )
+        # The variance of a second difference is 1 + 4 + 1 times that of a speed.
+        from_blocks = float(median(rough)) / (_MEDIAN_OF_NORMAL * math.sqrt(6))
+        error = np.maximum(error, from_blocks)
+    friction, friction_error = _friction(middle, speed, error)
+    curl, curl_error, direction = _curl(t, positions)
     return MeasuredMotion(
-        middle,
-        begin,
-        end,
-        speed,
-        error,
-        velocity,
-        len(every),
-        t,
-        positions,
-        noise,
-        length,
-        *friction,
-        curl,
-        off,
-        direction,
+        t=middle,
+        begin=begin,
+        end=end,
+        speed=speed,
+        error=error,
+        velocity=velocity,
+        rows=rows,
+        times=t,
+        positions=positions,
+        noise=noise,
+        length=float(np.hypot(*np.ptp(positions, axis=1))),
+        friction=friction,
+        friction_error=friction_error,
+        curl=curl,
+        curl_error=curl_error,
+        direction=direction,
     )
 
 
@@ -137,10 +145,12 @@ def _without_outliers(
     five = np.stack([positions[:, k : len(t) - 4 + k] for k in range(5)], axis=-1)
     five.sort(axis=-1)
     bend = 0.5 * _BRAKING * (2 * float(median(np.diff(t)))) ** 2
-    limit = 0.02 + bend + 6 * noise[:, None]
+    limit = _STRAIGHT + bend + 6 * noise[:, None]
     near = np.ones(len(t), bool)
     near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
-    return (t, positions) if near.all() else (t[near], positions[:, near])
+    if near.all():
+        return t, positions
+    return t[near], positions[:, near]
 
 
 def _block_slopes(t: Floats, values: Floats, noise: Floats) -> tuple[Floats, ...]:
@@ -150,33 +160,35 @@ def _block_slopes(t: Floats, values: Floats, noise: Floats) -> tuple[Floats, ...
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
     count = last - first + 1
-    owner = np.repeat(np.arange(blocks), count)
+    block_of = np.repeat(np.arange(blocks), count)
     middle = np.add.reduceat(t, first) / count
-    at = t - middle[owner]
-    spread = np.add.reduceat(at**2, first)
-    slopes = np.add.reduceat(values * at, first, axis=1) / spread
+    centred = t - middle[block_of]
+    spread = np.add.reduceat(centred**2, first)
+    slopes = np.add.reduceat(values * centred, first, axis=1) / spread
     mean = np.add.reduceat(values, first, axis=1) / count
-    residual = values - mean[:, owner] - slopes[:, owner] * at
-    own = np.add.reduceat((residual**2).sum(0), first) / np.maximum(count - 2, 1)
-    variance = np.maximum(own, float((noise**2).sum()))
+    residual = values - mean[:, block_of] - slopes[:, block_of] * centred
+    squares = np.add.reduceat((residual**2).sum(0), first)
+    variance = squares / np.maximum(count - 2, 1)
+    variance = np.maximum(variance, float((noise**2).sum()))
     return t[first], t[last], middle, slopes, np.sqrt(variance / spread)
 
 
 def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
     """Mean deceleration over g while the stone moves, and its standard error."""
-    moving = speed > np.maximum(_REST, 0.03 * speed.max())
-    if speed.max() < 2 * _REST:  # perhaps in other units
-        moving = speed > 0.2 * speed.max()
+    fastest = speed.max()
+    moving = speed > np.maximum(_REST, 0.03 * fastest)
+    if fastest < 2 * _REST:  # perhaps in other units
+        moving = speed > 0.2 * fastest
     if moving.sum() < 3:
         return math.nan, math.inf
-    at = t[moving] - t[moving].mean()
-    spread = float(at @ at)
-    slope = float(speed[moving] @ at) / spread
-    rest = speed[moving] - speed[moving].mean() - slope * at
-    noise = max(
-        float(median(error[moving])),
-        float(np.sqrt((rest @ rest) / max(len(at) - 2, 1))),
-    )
+    t = t[moving]
+    speed = speed[moving]
+    centred = t - t.mean()
+    spread = float(centred @ centred)
+    slope = float(speed @ centred) / spread
+    residual = speed - speed.mean() - slope * centred
+    variance = (residual @ residual) / max(len(t) - 2, 1)
+    noise = max(float(median(error[moving])), float(np.sqrt(variance)))
     return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
 
 
@@ -189,29 +201,33 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
     curl grows fastest there.
     """
     few = max(2, len(t) // 10)
-    begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
-    length = float(np.hypot(*(end - begin)))
+    begin = positions[:, :few].mean(1)
+    way = positions[:, -few:].mean(1) - begin
+    length = float(np.hypot(*way))
     if length == 0:
         return 0.0, math.inf, (math.nan, math.nan)
-    along_x, along_y = (end - begin) / length
+    direction_x, direction_y = way / length
     x, y = positions - begin[:, None]
-    along, left = (along_x * x + along_y * y) / length, along_x * y - along_y * x
-    near = along < 0.5
-    if near.sum() < FEWEST // 2:
-        near[:] = True
-    powers = np.stack([np.ones_like(along), along, along**2])[:, near]
+    along = (direction_x * x + direction_y * y) / length
+    left = direction_x * y - direction_y * x
+    first_half = along < 0.5
+    if first_half.sum() < FEWEST // 2:
+        first_half[:] = True
+    powers = np.stack([np.ones_like(along), along, along**2])[:, first_half]
     inverse = np.linalg.pinv(powers @ powers.T)
-    found = inverse @ (powers @ left[near])
-    residual = left[near] - found @ powers
-    variance = float(residual @ residual) / max(int(near.sum()) - 3, 1)
+    parabola = inverse @ (powers @ left[first_half])
+    residual = left[first_half] - parabola @ powers
+    degrees_of_freedom = max(int(first_half.sum()) - 3, 1)
+    variance = float(residual @ residual) / degrees_of_freedom
     last = max(2, len(t) // 40)
-    first, end_along = float(along[:last].mean()), float(along[-last:].mean())
-    tangent = np.array([1.0, end_along, first * (2 * end_along - first)])
-    return (
-        float(left[-last:].mean() - tangent @ found),
-        math.sqrt(variance * (float(tangent @ inverse @ tangent) + 1 / last)),
-        (float(along_x), float(along_y)),
-    )
+    first_along = float(along[:last].mean())
+    end_along = float(along[-last:].mean())
+    # The tangent to the parabola at `first_along`, at `end_along`: its value is linear
+    # in the coefficients of the parabola, with these factors.
+    tangent = np.array([1.0, end_along, first_along * (2 * end_along - first_along)])
+    curl = float(left[-last:].mean() - tangent @ parabola)
+    error = math.sqrt(variance * (float(tangent @ inverse @ tangent) + 1 / last))
+    return curl, error, (float(direction_x), float(direction_y))
 
 
 def turning(throw: Throw) -> tuple[float, float]:
@@ -259,30 +275,35 @@ def release(throw: Throw) -> float | None:
         return None
     if abs(_slope(t[:best], phi[:best])) > _STILL * abs(spin):
         return None
-    ends = np.array(
-        [
-            (start + onset, _misfit(t, phi, start, onset))
-            for onset in np.linspace(0, _ONSET, 9)
-            for start in t[np.abs(t + onset / 2 - t[best]) < _ONSET]
-        ]
+    ends = []
+    misfits = []
+    for onset in np.linspace(0, _ONSET, 9):
+        for start in t[np.abs(t + onset / 2 - t[best]) < _ONSET]:
+            ends.append(start + onset)
+            misfits.append(_misfit(t, phi, start, onset))
+    # Two standard errors are a chi squared of 4, of n rows with a variance of least/n.
+    allowed = min(misfits) * (1 + 4 / n) + 1e-12
+    end = max(
+        end for end, misfit in zip(ends, misfits, strict=True) if misfit <= allowed
     )
-    least = ends[:, 1].min()
-    end = ends[ends[:, 1] <= least * (1 + 4 / n) + 1e-12, 0].max()
     return float(throw.t[throw.t > end + 1e-9][0])
 
 
 def _misfit(t: Floats, phi: Floats, start: float, onset: float) -> float:
     """Residual sum of squares of an angle whose spin sets in from a start on."""
     after = np.maximum(t - start, 0.0)
-    turning = np.where(after < onset, after**2 / (2 * onset or 1.0), after - onset / 2)
-    basis = np.stack([np.ones_like(t), turning, np.maximum(after - onset, 0.0) ** 2], 1)
-    off = phi - basis @ np.linalg.lstsq(basis, phi, rcond=None)[0]
-    return float(off @ off)
+    in_onset = after**2 / (2 * onset or 1.0)
+    turned = np.where(after < onset, in_onset, after - onset / 2)
+    braked = np.maximum(after - onset, 0.0) ** 2
+    basis = np.stack([np.ones_like(t), turned, braked], 1)
+    residual = phi - basis @ np.linalg.lstsq(basis, phi, rcond=None)[0]
+    return float(residual @ residual)
 
 
 def _slope(t: Floats, values: Floats) -> float:
-    at = t - t.mean()
-    return float(values @ at / (at @ at))
+    """Of the regression line."""
+    centred = t - t.mean()
+    return float(values @ centred / (centred @ centred))
 
 
 def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:
@@ -292,42 +313,45 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     by more than noise and friction explain. If no velocity changes that much from block
     to block, none does from row to row.
     """
-    velocity = motion.velocity
-    if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
+    over_two_blocks = motion.velocity[:, 2:] - motion.velocity[:, :-2]
+    if not np.hypot(*over_two_blocks).max(initial=0.0) > _JUMP:
         return None
     t, positions = path_of(throw)
     if len(t) < 20:
         return None
     noise = float(np.hypot(*scatter(positions)))
     dt = float(median(np.diff(t)))
-    # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12
-    # s^2/(m^3 dt^2)
-    rows = int(
-        np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3)
-    )
-    every = np.vstack([t, positions])
-    every = np.lib.stride_tricks.sliding_window_view(every, rows, axis=1)
-    mean = every.mean(-1)
-    at, *parts = every - mean[..., None]
-    spread = (at**2).sum(1)
-    slope = np.stack([(part * at).sum(1) / spread for part in parts])
+    # As many rows m as make the error of a slope about 0.03 m/s: its variance is
+    # 12 noise^2/(m^3 dt^2).
+    enough = math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3))
+    rows = int(np.clip(enough, 5, len(t) // 3))
+    # Lines through all runs of so many rows; those before and after the row `rows + k`
+    # begin at the rows k and `rows + k`.
+    series = np.vstack([t, positions])
+    windows = np.lib.stride_tricks.sliding_window_view(series, rows, axis=1)
+    mean = windows.mean(-1)
+    time, *places = windows - mean[..., None]
+    spread = (time**2).sum(1)
+    slope = np.stack([(place * time).sum(1) / spread for place in places])
     change = slope[:, rows:] - slope[:, :-rows]
     elapsed = mean[0, rows:] - mean[0, :-rows]
     error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
-    size = np.hypot(*change) - SURE * error - _BRAKING * elapsed
+    excess = np.hypot(*change) - SURE * error - _BRAKING * elapsed
     # An outlier tilts a line, which then does not fit its own rows.
-    residual = np.abs(np.stack(parts) - slope[..., None] * at).max((0, 2))
-    straight = (
-        residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
-    )
-    size[~(straight[rows:] & straight[:-rows])] = -math.inf
+    residual = np.abs(np.stack(places) - slope[..., None] * time).max((0, 2))
+    duration = time[:, -1] - time[:, 0]
+    straight = residual < _STRAIGHT + 6 * noise + 0.5 * _BRAKING * duration**2 / 4
+    excess[~(straight[rows:] & straight[:-rows])] = -math.inf
     # During a pause anything may have happened.
-    gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
-    size[gap > 5 * dt] = -math.inf
-    best = int(np.argmax(size)) if len(size) else 0
-    if not len(size) or not size[best] > _JUMP:
+    jumps = len(excess)
+    gap = t[rows : rows + jumps] - t[rows - 1 : rows - 1 + jumps]
+    excess[gap > 5 * dt] = -math.inf
+    if not jumps:
         return None
-    return float(t[best + rows]), float(np.hypot(*change[:, best]))
+    largest = int(np.argmax(excess))
+    if not excess[largest] > _JUMP:
+        return None
+    return float(t[largest + rows]), float(np.hypot(*change[:, largest]))
 
 
 def position_jump(motion: MeasuredMotion) -> tuple[float, float, float] | None:
@@ -350,10 +374,9 @@ def position_jump(motion: MeasuredMotion) -> tuple[float, float, float] | None:
     sure = []
     for jump in np.flatnonzero(size - SURE * 2 * noise - braked > _MOVED):
         after = last[jump] + 1
-        until, since = np.s_[:after], np.s_[after:]
-        if _is_straight(
-            -t[until][::-1], positions[:, until][:, ::-1], noise
-        ) and _is_straight(t[since], positions[:, since], noise):
+        # The rows before a jump lie on a line as seen from it, back in time.
+        backward = _is_straight(-t[:after][::-1], positions[:, :after][:, ::-1], noise)
+        if backward and _is_straight(t[after:], positions[:, after:], noise):
             sure.append(jump)
     if not sure:
         return None
@@ -368,14 +391,17 @@ def position_jump(motion: MeasuredMotion) -> tuple[float, float, float] | None:
 def _beyond_motion(t: Floats, positions: Floats, last: NDArray[np.int64]) -> Floats:
     """What of the way from a row to the next is not that of a velocity between those
     of three rows before and three rows after, shape (2, len(last))."""
+
+    def velocity(first: NDArray[np.int64]) -> Floats:
+        """Over three rows, shape (2, len(last))."""
+        way = positions[:, first + 2] - positions[:, first]
+        return way / (t[first + 2] - t[first])
+
     dt = t[last + 1] - t[last]
     way = positions[:, last + 1] - positions[:, last]
-    before, after = (
-        (positions[:, first + 2] - positions[:, first]) / (t[first + 2] - t[first])
-        for first in (last - 2, last + 1)
-    )
-    change = after - before
-    # the velocity between them, as a part of the change, that comes nearest
+    before = velocity(last - 2)
+    change = velocity(last + 1) - before
+    # The velocity between both that comes nearest, as a part of their change.
     along = ((way - dt * before) * change).sum(0)
     part = np.clip(along / np.maximum((change**2).sum(0) * dt, 1e-12), 0, 1)
     return way - dt * (before + part * change)
@@ -387,7 +413,7 @@ def _is_straight(t: Floats, positions: Floats, noise: float) -> bool:
     since = t[:_BESIDE] - t[0]
     moved = positions[:, :_BESIDE] - positions[:, :1]
     off = np.hypot(*(moved - moved[:, 2:3] * since / since[2]))
-    near = off < 0.02 + 6 * noise + 0.5 * _BRAKING * since**2
+    near = off < _STRAIGHT + 6 * noise + 0.5 * _BRAKING * since**2
     return bool(near[1] and near.mean() > 0.5)
 
 
@@ -400,34 +426,32 @@ def first_row_at_rest(t: Floats, positions: Floats) -> int | None:
     numbers of final rows, the one with the smallest upper limit on the speed is taken.
     """
     late = t - t[-1]
-    position = positions - positions[:, -1:]
-    # Sums over the rows from each one to the last.
-    n, st, stt, sp, stp, spp = (
-        np.cumsum(part[..., ::-1], -1)[..., ::-1]
-        for part in (
-            np.ones_like(t),
-            late,
-            late**2,
-            position,
-            late * position,
-            position**2,
-        )
-    )
-    enough = (n >= _MIN_REST_ROWS) & (late < -_MIN_REST_TIME)
+    to_last = positions - positions[:, -1:]
+
+    def to_the_end(values: Floats) -> Floats:
+        """Sums over the rows from each one to the last."""
+        return np.cumsum(values[..., ::-1], -1)[..., ::-1]
+
+    rows = to_the_end(np.ones_like(t))
+    enough = (rows >= _MIN_REST_ROWS) & (late < -_MIN_REST_TIME)
     if not enough.any():
         return None
-    n, st, stt, sp, stp, spp = (
-        part[..., enough] for part in (n, st, stt, sp, stp, spp)
-    )
-    spread = stt - st**2 / n
-    slope = (stp - st * sp / n) / spread
-    variance = np.maximum(spp - sp**2 / n - slope**2 * spread, 0.0) / (n - 2)
-    noise = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
-    error = np.sqrt(noise / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
+    # The regression lines, by the row with which each begins.
+    n = rows[enough]
+    sum_t = to_the_end(late)[enough]
+    sum_tt = to_the_end(late**2)[enough]
+    sum_p = to_the_end(to_last)[:, enough]
+    sum_tp = to_the_end(late * to_last)[:, enough]
+    sum_pp = to_the_end(to_last**2)[:, enough]
+    spread = sum_tt - sum_t**2 / n
+    slope = (sum_tp - sum_t * sum_p / n) / spread
+    squares = np.maximum(sum_pp - sum_p**2 / n - slope**2 * spread, 0.0)
+    variance = squares / (n - 2)
+    variance = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
+    error = np.sqrt(variance / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
     compatible = (np.abs(slope) < _CONFIDENCE * error).all(0)
-    limit = np.where(
-        compatible, np.hypot(*(np.abs(slope) + _CONFIDENCE * error)), np.inf
-    )
+    highest_speed = np.hypot(*(np.abs(slope) + _CONFIDENCE * error))
+    limit = np.where(compatible, highest_speed, np.inf)
     best = int(np.argmin(limit))
     return int(np.flatnonzero(enough)[best]) if limit[best] < _REST else None
 
@@ -440,19 +464,17 @@ def final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
     to the error.
     """
     last = max(min(len(t), _END_ROWS), int((t > t[-1] - _END_TIME).sum()))
-    late, positions = t[-last:] - t[-1], positions[:, -last:]
+    late = t[-last:] - t[-1]
+    positions = positions[:, -last:]
     noise = scatter(positions)
-    (velocity, variance), (other, its_variance) = (
-        _final_slope(late, positions, min(degree, last - 2), noise) for degree in (2, 3)
-    )
-    bias = np.maximum(
-        (other - velocity) ** 2 - np.maximum(its_variance - variance, 0.0), 0.0
-    )
+    velocity, variance = _final_slope(late, positions, min(2, last - 2), noise)
+    of_cubic, variance_of_cubic = _final_slope(late, positions, min(3, last - 2), noise)
+    by_noise = np.maximum(variance_of_cubic - variance, 0.0)
+    bias = np.maximum((of_cubic - velocity) ** 2 - by_noise, 0.0)
     speed = float(np.hypot(*velocity))
     along = velocity**2 / speed**2 if speed > 0 else np.full(2, 0.5)
-    return speed, float(
-        np.sqrt(along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2)
-    )
+    square = along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2
+    return speed, float(np.sqrt(square))
 
 
 def _final_slope(
@@ -461,8 +483,8 @@ def _final_slope(
     """Slopes of polynomials at 0 and their variances, for noise of at least
     the given size."""
     powers = np.vander(late, degree + 1, increasing=True)
-    found, *_ = np.linalg.lstsq(powers, positions.T, rcond=None)
-    residual = ((positions.T - powers @ found) ** 2).sum(0) / (len(late) - degree - 1)
-    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(
-        residual, noise**2
-    )
+    coefficients, *_ = np.linalg.lstsq(powers, positions.T, rcond=None)
+    squares = ((positions.T - powers @ coefficients) ** 2).sum(0)
+    variance = np.maximum(squares / (len(late) - degree - 1), noise**2)
+    inverse = np.linalg.inv(powers.T @ powers)
+    return coefficients[1], inverse[1, 1] * variance

@@ -63,15 +63,17 @@ _MOST_TURNS = 10.0  # a thrown stone makes two to four
 _GROWTH = 0.1  # m/s; largest growth of a speed, that of friction 0.01 in 1 s
 # of the throw; a speed that grows from there to the end is one that never falls
 _FIRST_PART = 0.2
-_CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
+# The sense of a curl above this (m) is compared with that of a turn above this (rad).
+_CLEAR_CURL = 0.2
+_CLEAR_TURN = 0.5
 # ratio of a measured rate to that of the path: calibration is within 20 %
 _AGREE = 0.8, 1.25
 # m; of 300 simulated throws with noise up to 0.1 m, fitted with coulomb by least
 # squares, two have as much, both with outliers of 1 m in one row of ten
 _MISFIT = 0.5
 _MOST_ROWS = 1500  # for speed; more are condensed
-# s, and times the usual step of time: no throw takes a minute
-_LONGEST_GAP = 60.0, 100.0
+_LONGEST_GAP = 60.0  # s; no throw takes as long
+_MANY_STEPS = 100.0  # a gap is longer than so many usual steps of time
 _BESIDE = 5  # values with whose median each is compared
 _FEW = 0.2  # fraction of the values that may be far off; of more the unit is wrong
 
@@ -90,9 +92,11 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     motion = motion_of(condensed)
     if motion is not None:
         for stage in _STAGES:
-            of_stage = [item for check in stage for item in check(condensed, motion)]
-            findings += of_stage
-            if any(finding.is_refusal for finding in of_stage):
+            findings_of_stage: list[Finding] = []
+            for check in stage:
+                findings_of_stage += check(condensed, motion)
+            findings += findings_of_stage
+            if any(finding.is_refusal for finding in findings_of_stage):
                 break
     return tuple(sorted(findings, key=lambda finding: not finding.is_refusal))
 
@@ -123,15 +127,24 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
 
 def require_motion(throw: Throw) -> None:
     """Raise `DataError` if the motion does not exceed the scatter of the data."""
-    seen = [values[np.isfinite(values)] for values in (throw.x, throw.y)]
-    # Independent noise has the same spread over the whole throw as from row to row.
-    moves = (len(v) > 1 and np.ptp(v) > 1e-6 and v.std() > 3 * scatter(v) for v in seen)
-    if any(map(len, seen)) and not any(moves):
+    x = throw.x[np.isfinite(throw.x)]
+    y = throw.y[np.isfinite(throw.y)]
+    if not len(x) and not len(y):
+        return
+    if not _moves(x) and not _moves(y):
         fault = (
             "the stone never moves by more than the scatter of the data; "
             "nothing can be fitted"
         )
         raise DataError(fault, file=throw.name)
+
+
+def _moves(values: Floats) -> bool:
+    """Whether positions vary by more than their noise. Independent noise has the same
+    spread over the whole throw as from row to row."""
+    if len(values) < 2 or np.ptp(values) <= 1e-6:
+        return False
+    return bool(values.std() > 3 * scatter(values))
 
 
 def examine_fit(
@@ -244,8 +257,8 @@ def _gap(throw: Throw) -> Iterator[Finding]:
     if len(steps) < 3:
         return
     last = int(np.argmax(steps))
-    longest, times = _LONGEST_GAP
-    if steps[last] < longest or steps[last] < times * float(median(steps)):
+    usual = float(median(steps))
+    if steps[last] < _LONGEST_GAP or steps[last] < _MANY_STEPS * usual:
         return
     early = last + 1 < len(throw) / 2
     row = last if early else last + 1
@@ -331,24 +344,32 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     mu = motion.friction
     error = motion.friction_error
     low, high = FRICTION
-    least, most = USUAL_FRICTION
-    sure = fastest - 3 * float(motion.error[motion.speed.argmax()])
+    least_usual, most_usual = USUAL_FRICTION
     slows = not (mu < 0 and motion.speed[-1] > motion.speed[0])
-    long = motion.length > _LENGTH
+    is_long = motion.length > _LENGTH
     # A stone of usual speed and friction needs no other unit to slide so far: a
     # simulator may have no back line.
-    usual = fastest < USUAL_SPEED and least < mu < most
-    impossible = {
-        "impossible-speed": sure > SPEED,
-        "impossible-length": long and not usual,
-        "impossible-friction": slows
-        and (mu + 3 * error < low or mu - 3 * error > high),
-    }
-    rare = {
-        "high-speed": fastest > USUAL_SPEED,
-        "long-path": long,
-        "low-friction": slows and mu + 3 * error < least,
-    }
+    is_usual = fastest < USUAL_SPEED and least_usual < mu < most_usual
+    at_least = fastest - 3 * float(motion.error[motion.speed.argmax()])
+    unphysical = mu + 3 * error < low or mu - 3 * error > high
+    # Of several findings the first is given, since they have the same cause.
+    level = Level.REFUSAL
+    if at_least > SPEED:
+        code = "impossible-speed"
+    elif is_long and not is_usual:
+        code = "impossible-length"
+    elif slows and unphysical:
+        code = "impossible-friction"
+    else:
+        level = Level.WARNING
+        if fastest > USUAL_SPEED:
+            code = "high-speed"
+        elif is_long:
+            code = "long-path"
+        elif slows and mu + 3 * error < least_usual:
+            code = "low-friction"
+        else:
+            return
     numbers = {
         "speed": float(fastest),
         "length": float(motion.length),
@@ -358,11 +379,7 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         "low": low,
         "high": high,
     }
-    for checks, level in ((impossible, Level.REFUSAL), (rare, Level.WARNING)):
-        for code, holds in checks.items():
-            if holds:  # of several, the first: they have the same cause
-                yield Finding(code, level, numbers, (unit_remedy(throw),))
-                return
+    yield Finding(code, level, numbers, (unit_remedy(throw),))
 
 
 def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -380,14 +397,15 @@ class _Touch(NamedTuple):
 
     Attributes
     ----------
-    code, numbers : of its finding. remedy : the code of what to do.
+    code, numbers : of its finding.
+    remedy : the code of what to do.
     cut : since or until, if its rows can be cut off; else empty.
     time : at which they are cut off, s.
     """
 
     code: str
     numbers: dict[str, float]
-    remedy: str
+    remedy: str = ""
     cut: str = ""
     time: float = math.nan
 
@@ -403,29 +421,35 @@ def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """The hand that holds a stone before the release, or the touch of a hand or
     another stone."""
     touch = _touch(throw, motion)
-    early = touch if touch is not None and touch.cut == "since" else None
-    let_go = release(throw)
-    if let_go is not None and (early is None or _clear(throw, let_go) == let_go):
-        if early is None:
-            early = _Touch("held", {"t": let_go}, "")
+    early = None  # the touch whose rows are at the beginning
+    late = touch
+    if touch is not None and touch.cut == "since":
+        early = touch
+        late = None
+    released = release(throw)
+    if released is not None and (early is None or _clear(throw, released) == released):
+        early = early or _Touch("held", {"t": released})
         early = early._replace(
-            remedy="rows-before-release", cut="since", time=float(let_go)
+            remedy="rows-before-release", cut="since", time=float(released)
         )
     elif early is not None:
         early = early._replace(time=_clear(throw, early.time))
     if early is not None:
         yield early.finding(throw)
-    if touch is not None and touch.cut != "since":
-        yield touch.finding(throw)
+    if late is not None:
+        yield late.finding(throw)
 
 
 def _clear(throw: Throw, time: float) -> float:
     """The time, from one on, after which no touch is left that is cut off at
     the beginning."""
-    later = throw.select_rows(since=_rounded("since", time))
-    motion = motion_of(later)
-    touch = None if motion is None else _touch(later, motion)
-    return _clear(throw, touch.time) if touch and touch.cut == "since" else time
+    while True:
+        rows_after = throw.select_rows(since=_rounded("since", time))
+        motion = motion_of(rows_after)
+        touch = None if motion is None else _touch(rows_after, motion)
+        if touch is None or touch.cut != "since":
+            return time
+        time = touch.time
 
 
 def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
@@ -486,26 +510,25 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     along_x = abs(x) > 2 * abs(y)
     forward = 1 if (x if along_x else y) > 0 else -1
 
-    def axes(across: int, along: int, turn: int = 1) -> Option:
-        return option(
-            throw, "axes", corrected(words, across, along, turn, exchanged=along_x)
-        )
+    def axes(across: int, along: int) -> Option:
+        changed = corrected(words, across, along, 1, exchanged=along_x)
+        return option(throw, "axes", changed)
 
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
     turned = turning(throw)[0] if certain else math.nan
     if abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
         to_the_left = motion.curl > 0
         if along_x:
-            first = Remedy("if-x-is-along", axes(forward, forward))
+            other_axes = Remedy("if-x-is-along", axes(forward, forward))
         elif forward > 0:
-            first = Remedy("if-x-is-to-the-left", axes(-1, 1))
+            other_axes = Remedy("if-x-is-to-the-left", axes(-1, 1))
         else:
-            first = Remedy("if-y-points-back", axes(1, -1))
-        other = option(throw, "axes", corrected(words, 1, 1, -1))
+            other_axes = Remedy("if-y-points-back", axes(1, -1))
+        other_sense = option(throw, "axes", corrected(words, 1, 1, -1))
         yield Finding.warning(
             "curls-the-wrong-way",
-            first,
-            Remedy("if-angles-count-the-other-way", other),
+            other_axes,
+            Remedy("if-angles-count-the-other-way", other_sense),
             sense="clockwise" if to_the_left else "counter-clockwise",
             side="left" if to_the_left else "right",
             curl=abs(float(motion.curl)),
@@ -516,56 +539,67 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         yield Finding.warning(code, Remedy("if-it-is-along", rotated), axes=words)
 
 
-class _Ratio(NamedTuple):
-    """A measured rate over the same quantity from positions or angles."""
-
-    rate: str
-    """speed or spin"""
-    of: str
-    """what it is compared with, in words"""
-    ratio: float
-
-
-def _ratios(throw: Throw, motion: MeasuredMotion) -> Iterator[_Ratio]:
-    """The measured speed over that of the path, where the stone is fast enough, and
-    the integral of the spin over the change of the angle."""
-    has_speed = np.isfinite(throw.speed)
-    if has_speed.sum() >= 4:
-        surely_moving = 10 * float(median(motion.error))
-        fast = motion.speed > max(0.3 * motion.fastest, surely_moving)
-        if fast.sum() >= 3:
-            speed = np.interp(motion.t, throw.t[has_speed], throw.speed[has_speed])
-            ratio = float(median(speed[fast] / motion.speed[fast]))
-            yield _Ratio("speed", "the path", ratio)
-    has_angle = np.isfinite(throw.phi)
-    has_spin = np.isfinite(throw.omega)
-    if has_angle.sum() >= FEWEST and has_spin.sum() >= 4:
-        turned, _ = turning(throw)
-        if abs(turned) > 1.0:
-            t = throw.t[has_angle]
-            spin = np.interp(t, throw.t[has_spin], throw.omega[has_spin])
-            yield _Ratio("spin", "the angle", float(np.trapezoid(spin, t)) / turned)
-
-
 def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A measured speed that disagrees with the path, a spin that disagrees
     with the angle."""
+    yield from _disagreement(
+        throw, "speed", "the path", _ratio_of_speeds(throw, motion)
+    )
+    yield from _disagreement(throw, "spin", "the angle", _ratio_of_turns(throw))
+
+
+def _ratio_of_speeds(throw: Throw, motion: MeasuredMotion) -> float | None:
+    """The measured speed over that of the path, where the stone is fast enough; None
+    where too few rows tell it."""
+    measured = np.isfinite(throw.speed)
+    surely_moving = 10 * float(median(motion.error))
+    fast = motion.speed > max(0.3 * motion.fastest, surely_moving)
+    if measured.sum() < 4 or fast.sum() < 3:
+        return None
+    speed = np.interp(motion.t, throw.t[measured], throw.speed[measured])
+    return float(median(speed[fast] / motion.speed[fast]))
+
+
+def _ratio_of_turns(throw: Throw) -> float | None:
+    """The integral of the measured spin over the change of the angle; None where too
+    few rows tell it, or the stone hardly turns."""
+    has_angle = np.isfinite(throw.phi)
+    has_spin = np.isfinite(throw.omega)
+    if has_angle.sum() < FEWEST or has_spin.sum() < 4:
+        return None
+    turned, _ = turning(throw)
+    if abs(turned) <= 1.0:
+        return None
+    t = throw.t[has_angle]
+    spin = np.interp(t, throw.t[has_spin], throw.omega[has_spin])
+    return float(np.trapezoid(spin, t)) / turned
+
+
+def _disagreement(
+    throw: Throw, rate: str, of: str, ratio: float | None
+) -> Iterator[Finding]:
+    """A rate that is not what positions or angles say.
+
+    Parameters
+    ----------
+    rate : speed or spin. of : what it is compared with, in words.
+    ratio : of the measured rate and that; None if it is not known.
+    """
     low, high = _AGREE
-    for rate, of, ratio in _ratios(throw, motion):
-        if low < ratio < high:
-            continue
-        opposite = low < -ratio < high
-        unit = _unit_of_rate(throw, rate, ratio)
-        remedy = Remedy("other-column", numbers={"rate": rate})
-        if unit:
-            typed = option(throw, "units", f"{rate}={unit}")
-            remedy = Remedy("unit-of-rate", typed, {"unit": unit})
-        level = Level.REFUSAL if unit or opposite else Level.WARNING
-        code = "rate-unlike-path"
-        if opposite and not unit and rate == "spin":
-            code = "spin-against-angle"
-        numbers = {"rate": rate, "ratio": ratio, "of": of}
-        yield Finding(code, level, numbers, (remedy,))
+    if ratio is None or low < ratio < high:
+        return
+    opposite = low < -ratio < high
+    unit = _unit_of_rate(throw, rate, ratio)
+    remedy = Remedy("other-column", numbers={"rate": rate})
+    if unit:
+        typed = option(throw, "units", f"{rate}={unit}")
+        remedy = Remedy("unit-of-rate", typed, {"unit": unit})
+    level = Level.REFUSAL if unit or opposite else Level.WARNING
+    code = "rate-unlike-path"
+    if opposite and not unit and rate == "spin":
+        code = "spin-against-angle"
+    numbers = {"rate": rate, "ratio": ratio, "of": of}
+    yield Finding(code, level, numbers, (remedy,))
 
 
 def _unit_of_rate(throw: Throw, rate: str, ratio: float) -> str:
@@ -578,10 +612,11 @@ def _unit_of_rate(throw: Throw, rate: str, ratio: float) -> str:
 
 
 def _rounded(name: str, time: float) -> float:
-    hundredths = (
-        math.ceil(100 * time) if name == "since" else math.floor(100 * time - 1e-9)
-    )
-    return hundredths / 100
+    """A time for an option, in hundredths of a second, so that no row that is to be
+    cut off is kept: later for `since`, earlier for `until`."""
+    if name == "since":
+        return math.ceil(100 * time) / 100
+    return math.floor(100 * time - 1e-9) / 100
 
 
 _STAGES = ((_scale,), (_jump,), (_push,), (_curl,), (_axes, _rates))

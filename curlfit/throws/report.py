@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from curlfit.throws.events import Event
     from curlfit.throws.friction_table import FrictionTable
     from curlfit.throws.load import Part
-    from curlfit.throws.readers.columns import Column as ReadAs
-    from curlfit.throws.readers.parsed_file import ParsedFile
+    from curlfit.throws.readers.parsed_file import ParsedFile, Series
     from curlfit.throws.throw import Throw
 
 
@@ -55,13 +54,13 @@ def print_inspection(
             f"{parsed.source}: {parsed.format}, {counted(len(throw), 'row')}, "
             f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
         )
-        write(Printed(_columns(parsed)))
+        write(Printed(Table(parsed.series, _SERIES_COLUMNS)))
     else:
         events = counted(len(throw.events), "event")
         write(f"{parsed.source}: {parsed.format}, {events} at lines and at rest")
         for sentence in odd:
             write(sentence, style="yellow", markup=False)
-        write(Printed(_events(throw)))
+        write(Printed(Table(throw.events, _EVENT_COLUMNS)))
     write()
     for line in facts(throw, settings):
         write(line)
@@ -177,39 +176,26 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         console.print(f"- {finding}", style="red" if finding.is_refusal else "yellow")
 
 
-class _Series(NamedTuple):
-    """A column of a file, in SI units, and how it was read."""
-
-    header: str
-    read_as: ReadAs
-    values: Floats
-
-    @property
-    def gaps(self) -> int:
-        """Number of rows without a value."""
-        return int((~np.isfinite(self.values)).sum())
-
-    @property
-    def span(self) -> str:
-        """Least and largest value in the units of the file."""
-        finite = self.values[np.isfinite(self.values)] / self.read_as.factor
-        return f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
+def _gaps(series: Series) -> int:
+    """Number of rows without a value."""
+    return int((~np.isfinite(series.values)).sum())
 
 
-_SERIES_COLUMNS: tuple[Column[_Series], ...] = (
+def _span(series: Series) -> str:
+    """Least and largest value in the units of the file."""
+    finite = series.values[np.isfinite(series.values)] / series.column.factor
+    return f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
+
+
+_SERIES_COLUMNS: tuple[Column[Series], ...] = (
     Column("column", key="header"),
-    Column("quantity", lambda series: series.read_as.quantity),
-    Column("unit", lambda series: series.read_as.unit),
-    Column("factor", lambda series: series.read_as.factor, ".6g", right=True),
+    Column("quantity", lambda series: series.column.quantity),
+    Column("unit", lambda series: series.column.unit),
+    Column("factor", lambda series: series.column.factor, ".6g", right=True),
     Column("rows", lambda series: len(series.values), right=True),
-    Column("gaps", right=True),
-    Column("range in the file", key="span"),
+    Column("gaps", _gaps, right=True),
+    Column("range in the file", _span),
 )
-
-
-def _columns(parsed: ParsedFile) -> Table[_Series]:
-    """The columns that were read, with their units and ranges."""
-    return Table([_Series(*series) for series in parsed.series], _SERIES_COLUMNS)
 
 
 _EVENT_COLUMNS: tuple[Column[Event], ...] = (
@@ -220,11 +206,6 @@ _EVENT_COLUMNS: tuple[Column[Event], ...] = (
     Column("at y", format=".3f", unit="m", missing="rest", right=True, key="at"),
     Column("since y", format=".3f", unit="m", missing="", right=True, key="since"),
 )
-
-
-def _events(throw: Throw) -> Table[Event]:
-    """The measured times and places."""
-    return Table(throw.events, _EVENT_COLUMNS)
 
 
 def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:

@@ -49,30 +49,32 @@ def law_with(
     0.012
     """
     kind = find_law(law)
-    known = {item.name: item for item in kind.coefficients()}
+    coefficient_by_name = {
+        coefficient.name: coefficient for coefficient in kind.coefficients()
+    }
     for name, value in coefficients.items():
-        if name not in known:
+        if name not in coefficient_by_name:
             raise InputError(
                 f"law {kind.name} has no coefficient {quoted(name)}; "
-                f"it has {', '.join(known)}"
+                f"it has {', '.join(coefficient_by_name)}"
             )
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")
-        item, wider = known[name], known[name].unbounded()
-        if not (wider if unbounded else item).lower <= value <= item.upper:
-            raise InputError(
-                f"{name} = {value:g}: expected {item.lower:g} .. {item.upper:g}, "
-                f"the bounds of law {kind.name}"
-                + (
-                    "; `unbounded` lets it be negative"
-                    if wider.lower <= value < item.lower
-                    else ""
-                )
+        coefficient = coefficient_by_name[name]
+        lowest = coefficient.unbounded().lower
+        lower = lowest if unbounded else coefficient.lower
+        if not lower <= value <= coefficient.upper:
+            fault = (
+                f"{name} = {value:g}: expected {coefficient.lower:g} .. "
+                f"{coefficient.upper:g}, the bounds of law {kind.name}"
             )
+            if lowest <= value < coefficient.lower:
+                fault += "; `unbounded` lets it be negative"
+            raise InputError(fault)
     made = kind(**{**(others or {}), **coefficients})
-    fault = made.fault()
-    if fault is not None:
-        raise InputError(f"law {kind.name}: {fault}")
+    fault_of_law = made.fault()
+    if fault_of_law is not None:
+        raise InputError(f"law {kind.name}: {fault_of_law}")
     return made
 
 
@@ -133,13 +135,19 @@ def synthetic_throw(
         "non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi}
     )
     _require("finite", -math.inf, state | conditions)
-    t, checked = _times(until, dt), check_load(load)
+    t = _times(until, dt)
+    checked_load = check_load(load)
     noise = np.random.default_rng(seed).standard_normal((3, len(t)))
     sizes = np.array([[noise_xy], [noise_xy], [noise_phi]])
-    x, y, phi = (
-        _path(law, stone, list(state.values()), t, checked, environment) + sizes * noise
-    )
-    values = {item.name: float(getattr(law, item.name)) for item in law.coefficients()}
+    path = _path(law, stone, list(state.values()), t, checked_load, environment)
+    x, y, phi = path + sizes * noise
+    values = {
+        coefficient.name: float(getattr(law, coefficient.name))
+        for coefficient in law.coefficients()
+    }
+    defaults = {"stone": stone.as_dict(), "load": checked_load}
+    if not law.origin:  # a law of the package
+        defaults["law"] = law.name
     return Throw(
         t,
         x,
@@ -147,8 +155,7 @@ def synthetic_throw(
         phi,
         name="synthetic throw",
         reference=Reference(_SOURCE, law.name, values | conditions),
-        defaults={"stone": stone.as_dict(), "load": checked}
-        | ({} if law.origin else {"law": law.name}),
+        defaults=defaults,
     )
 
 
@@ -174,6 +181,7 @@ def _path(
 
 
 def _times(until: float, dt: float) -> Floats:
+    """Times from 0 to the last one, `dt` apart."""
     rows = math.floor(until / dt + 1e-9) + 1
     if not 2 <= rows <= _MOST_ROWS:
         raise InputError(
@@ -183,6 +191,7 @@ def _times(until: float, dt: float) -> Floats:
 
 
 def _require(kind: str, least: float, numbers: Mapping[str, float]) -> None:
+    """Raise `InputError` for a number below `least`, or one that is not finite."""
     for name, value in numbers.items():
         if not (math.isfinite(value) and value >= least):
             raise InputError(f"{name} = {value:g}: expected a {kind} number")
@@ -192,11 +201,13 @@ def _conditions(environment: Environment | None) -> dict[str, float]:
     """Conditions that differ from level ice and still air, by name."""
     if environment is None:
         return {}
-    usual, names = Environment(), ("slope_x", "slope_y", "drag", "wear", "sweep")
-    found = {name: float(getattr(environment, name)) for name in names}
-    return {
-        name: value for name, value in found.items() if value != getattr(usual, name)
-    }
+    usual = Environment()
+    conditions = {}
+    for name in ("slope_x", "slope_y", "drag", "wear", "sweep"):
+        value = float(getattr(environment, name))
+        if value != getattr(usual, name):
+            conditions[name] = value
+    return conditions
 
 
 def write_table(throw: Throw) -> str:
@@ -205,7 +216,7 @@ def write_table(throw: Throw) -> str:
     settings: dict[str, Any] = dict(throw.defaults)
     if throw.reference is not None:
         settings["reference"] = {
-            key: v for key, v in asdict(throw.reference).items() if v != ""
+            key: value for key, value in asdict(throw.reference).items() if value != ""
         }
     lines = [*_settings("", settings), "t,x,y,phi"]
     for time, *position in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
@@ -220,5 +231,7 @@ def _settings(key: str, value: Any) -> Iterator[str]:
         for name, entry in value.items():
             last = name if name.isidentifier() else f'"{name}"'
             yield from _settings(f"{key}.{last}" if key else last, entry)
+    elif isinstance(value, str):
+        yield f'# {key} = "{value}"'
     else:
-        yield f"# {key} = " + (f'"{value}"' if isinstance(value, str) else f"{value:g}")
+        yield f"# {key} = {value:g}"

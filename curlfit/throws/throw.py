@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -238,22 +238,19 @@ class Throw(Displayed):
             for name, values in channels.items()
             if values is not None
         }
-        given = {
+        sigmas = {
             name: one_or_many(values, len(seconds), _fault_of(f"sigma of {name}"))
             for name, values in (sigma or {}).items()
         }
         if units or axes:
-            columns = {
-                "t": t,
-                **arrays,
-                **{f"sigma_{name}": v for name, v in given.items()},
-            }
-            made = cls.from_frame(
-                columns, more.get("name", "table"), units=units, axes=axes
-            )
-            return replace(made, **more)
+            columns = {"t": t, **arrays}
+            for name, values in sigmas.items():
+                columns[f"sigma_{name}"] = values
+            name = more.get("name", "table")
+            throw = cls.from_frame(columns, name, units=units, axes=axes)
+            return replace(throw, **more)
         blank: Any = {name: np.full_like(seconds, np.nan) for name in CHANNELS}
-        return cls(t=seconds, **blank | arrays, sigma=given, **more)
+        return cls(t=seconds, **blank | arrays, sigma=sigmas, **more)
 
     @classmethod
     def from_events(
@@ -278,13 +275,14 @@ class Throw(Displayed):
         ------
         InputError : no line is crossed.
         """
-        if not (lines := lines_of(events)):
+        lines = lines_of(events)
+        if not lines:
             raise InputError(
                 "no event is timed at a line; expected one such as hog_to_hog"
             )
-        known = {"y0": lines[0], **(assumed or {})}
-        t, _ = sketch(events, known)
-        return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
+        assumed = {"y0": lines[0], **(assumed or {})}
+        t, _ = sketch(events, assumed)
+        return cls.from_arrays(t, events=tuple(events), assumed=assumed, **more)
 
     @classmethod
     @takes(Reading, "format", "worksheet", "shot", "handle", "keep", "throws")
@@ -318,10 +316,10 @@ class Throw(Displayed):
         ------
         InputError : pandas is not installed.
         """
-        columns = {"t": self.t} | {name: getattr(self, name) for name in self.seen}
-        return frame(
-            columns | {f"sigma_{name}": values for name, values in self.sigma.items()}
-        )
+        columns = {name: getattr(self, name) for name in ("t", *self.seen)}
+        for name, values in self.sigma.items():
+            columns[f"sigma_{name}"] = values
+        return frame(columns)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -336,35 +334,28 @@ class Throw(Displayed):
     __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
     def _document(self) -> Document:
+        def of_values(summary: Callable[[Floats], float]) -> Callable[[str], float]:
+            return lambda channel: summary(getattr(self, channel))
+
         columns: tuple[Column[str], ...] = (
             Column("channel", lambda channel: channel),
             Column("unit", lambda channel: UNITS[channel]),
             Column(
                 "values",
-                lambda channel: np.isfinite(getattr(self, channel)).sum(),
+                of_values(lambda values: np.isfinite(values).sum()),
                 right=True,
             ),
-            Column(
-                "from",
-                lambda channel: np.nanmin(getattr(self, channel)),
-                ".5g",
-                right=True,
-            ),
-            Column(
-                "to",
-                lambda channel: np.nanmax(getattr(self, channel)),
-                ".5g",
-                right=True,
-            ),
+            Column("from", of_values(np.nanmin), ".5g", right=True),
+            Column("to", of_values(np.nanmax), ".5g", right=True),
             Column("sigma", self._usual_sigma, ".3g", missing="", right=True),
         )
         table = Table(("t", *self.seen), columns)
-        given = ", ".join(name for name in CHANNELS if name in self.sigma)
-        said = f"sigma given for {given}" if given else "no sigma given"
+        with_sigma = ", ".join(name for name in CHANNELS if name in self.sigma)
+        sigma = f"sigma given for {with_sigma}" if with_sigma else "no sigma given"
         return Document(
             finding=counted(len(self), "row"),
             subject=f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
-            lines=[f"channels {', '.join(self.seen)}; {said}"],
+            lines=[f"channels {', '.join(self.seen)}; {sigma}"],
             sections=[Section("channels", "Channels", [table])],
             notes=self.notes,
         )
@@ -399,10 +390,11 @@ class Throw(Displayed):
     def sigma_over_smallest(self, name: str) -> Floats:
         """The course of a channel's sigma over its rows where only this is known, with
         a smallest value of 1 among the measured ones; 1 for all others. Shape (n,)."""
-        there, known = np.isfinite(getattr(self, name)), self.relative_sigma.get(name)
-        if known is None or not there.any():
+        sigma = self.relative_sigma.get(name)
+        measured = np.isfinite(getattr(self, name))
+        if sigma is None or not measured.any():
             return np.ones(len(self))
-        return np.where(there, known / known[there].min(), 1.0)
+        return np.where(measured, sigma / sigma[measured].min(), 1.0)
 
     @property
     def has_path(self) -> bool:
@@ -440,16 +432,18 @@ class Throw(Displayed):
             raise InputError(
                 f"{self.name}: timed events only; there are no rows to choose"
             )
-        limits = {"since": since, "until": until}
-        given = {name: limit for name, limit in limits.items() if limit is not None}
-        low, high = given.get("since", -math.inf), given.get("until", math.inf)
+        low = -math.inf if since is None else since
+        high = math.inf if until is None else until
         keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
         if not keep.any():
-            said = " and ".join(
-                f"{name} = {limit:g} s" for name, limit in given.items()
+            limits = {"since": since, "until": until}
+            chosen = " and ".join(
+                f"{name} = {limit:g} s"
+                for name, limit in limits.items()
+                if limit is not None
             )
             raise InputError(
-                f"no row of {self.name} remains with {said}; its times are "
+                f"no row of {self.name} remains with {chosen}; its times are "
                 f"{self.t[0]:g} .. {self.t[-1]:g} s"
             )
         for begin, end in exclude:
@@ -460,15 +454,15 @@ class Throw(Displayed):
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
             raise InputError(f"the excluded intervals leave no row of {self.name}")
-        every: dict[str, Any] = {
+        rows: dict[str, Any] = {
             name: getattr(self, name)[keep] for name in ("t", *CHANNELS)
         }
         for name in ("sigma", "relative_sigma"):
-            every[name] = {
-                channel: v[keep] for channel, v in getattr(self, name).items()
+            rows[name] = {
+                channel: values[keep] for channel, values in getattr(self, name).items()
             }
-        every["lines"] = None if self.lines is None else self.lines[keep]
-        return replace(self, **every)
+        rows["lines"] = None if self.lines is None else self.lines[keep]
+        return replace(self, **rows)
 
     def with_defaults(self, **defaults: Any) -> Throw:
         """The throw with some defaults replaced."""
@@ -476,10 +470,13 @@ class Throw(Displayed):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The defaults; sigma only of channels that have none of their own."""
-        own = self.defaults.get("sigma", {})
-        unknown = {name: value for name, value in own.items() if name not in self.sigma}
-        return {**self.defaults, "sigma": unknown}
+        """The defaults; sigma only of channels without one for each row."""
+        sigma = {
+            name: value
+            for name, value in self.defaults.get("sigma", {}).items()
+            if name not in self.sigma
+        }
+        return {**self.defaults, "sigma": sigma}
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
         """The throw with one standard deviation for all rows of a channel, or for all
@@ -487,39 +484,40 @@ class Throw(Displayed):
         check_sigma(sigma)
         if not sigma:
             return self
-        filled = {
-            name: np.full_like(self.t, sigma[name])
-            for name in CHANNELS
-            if name in sigma
-        }
-        events = tuple(
-            replace(one, sigma=sigma.get("time", one.sigma))
-            if one.quantity == "time"
-            else one
-            for one in self.events
-        )
-        return replace(self, sigma={**self.sigma, **filled}, events=events)
+        sigma_of_rows = dict(self.sigma)
+        for name in CHANNELS:
+            if name in sigma:
+                sigma_of_rows[name] = np.full_like(self.t, sigma[name])
+        events = self.events
+        if "time" in sigma:
+            events = tuple(
+                replace(event, sigma=sigma["time"])
+                if event.quantity == "time"
+                else event
+                for event in events
+            )
+        return replace(self, sigma=sigma_of_rows, events=events)
 
 
 def _fault_of(name: str) -> Fault:
-    """What makes the error of an argument."""
-    return lambda said: InputError(f"{name}: {said}")
+    """What makes the error of an argument, from what is wrong with it."""
+    return lambda fault: InputError(f"{name}: {fault}")
 
 
 _CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # compared for equality
 
 
-def _same(one: Any, other: Any) -> bool:
+def _same(value: Any, other: Any) -> bool:
     """Equality; arrays are compared by value, with NaN equal to NaN."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(
-            _same(one[key], other[key]) for key in one
+    if isinstance(value, dict) and isinstance(other, dict):
+        return value.keys() == other.keys() and all(
+            _same(value[key], other[key]) for key in value
         )
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+    if isinstance(value, np.ndarray) or isinstance(other, np.ndarray):
         return np.array_equal(
-            np.asarray(one, float), np.asarray(other, float), equal_nan=True
+            np.asarray(value, float), np.asarray(other, float), equal_nan=True
         )
-    return bool(one == other)
+    return bool(value == other)
 
 
 def require_throw(throw: object) -> None:
@@ -545,7 +543,9 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
     channel is unknown."""
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
-            known = f"{', '.join(CHANNELS)}, and `time` of events"
-            raise InputError(f"no channel {quoted(name)}; the channels are {known}")
+            raise InputError(
+                f"no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}, "
+                "and `time` of events"
+            )
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")

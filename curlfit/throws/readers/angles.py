@@ -200,7 +200,9 @@ def add_angle_of_mark(
             "an angle and a second mark are both given; leave one of them out",
             quantity="phi",
         )
-    dx, dy = mark[0] - columns["x"], mark[1] - columns["y"]
+    x_mark, y_mark = mark
+    dx = x_mark - columns["x"]
+    dy = y_mark - columns["y"]
     length = np.hypot(dx, dy)
     seen = np.isfinite(length)
     if seen.sum() < 2:
@@ -209,7 +211,8 @@ def add_angle_of_mark(
         )
     typical = float(np.median(length[seen]))
     if not 0 < typical < _FARTHEST:
-        if (other_unit := _unit_of_mark(parsed, columns, typical)) is not None:
+        other_unit = _unit_of_mark(parsed, columns, typical)
+        if other_unit is not None:
             raise parsed.error(
                 f"the path is {_length(columns):.3g} m long and the mark {typical:.3g} "
                 f"m from the stone, and a sheet has {LENGTH:.3g} m; give the unit of "
@@ -221,9 +224,10 @@ def add_angle_of_mark(
             f"0.29 m; expected a point of the same stone ({_HANDLE})",
             options=(_HANDLE,),
         )
-    columns["phi"] = phi = np.arctan2(dy, dx)
+    phi = np.arctan2(dy, dx)
+    columns["phi"] = phi
     unwrap_angle(parsed, columns)
-    note = Finding.note("angle-of-mark", millimetres=1000 * typical)
+    noise = float(scatter(length[seen]))
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2
         across += columns["sigma_y"] ** 2 * np.cos(phi) ** 2
@@ -233,7 +237,7 @@ def add_angle_of_mark(
             millimetres=1000 * typical,
             sigma=float(np.nanmedian(columns["sigma_phi"])),
         )
-    elif (noise := float(scatter(length[seen]))) > 0:
+    elif noise > 0:
         columns["sigma_phi"] = np.full(len(phi), noise / typical)
         note = Finding.note(
             "angle-of-mark-and-scatter",
@@ -241,6 +245,8 @@ def add_angle_of_mark(
             sigma=noise / typical,
             scatter=1000 * noise,
         )
+    else:
+        note = Finding.note("angle-of-mark", millimetres=1000 * typical)
     parsed.notes.append(note)
 
 
@@ -262,17 +268,22 @@ def _unit_of_mark(
     typical : distance of the mark from the stone in m.
     """
     length = _length(columns)
-    now = [s.column.factor for s in parsed.series if s.column.quantity in ("x", "y")]
-    if not typical or length <= LENGTH or not now:
+    factors_as_read = [
+        series.column.factor
+        for series in parsed.series
+        if series.column.quantity in ("x", "y")
+    ]
+    if not typical or length <= LENGTH or not factors_as_read:
         return None
-    factors = {unit: in_unit("x", unit).factor / now[0] for unit in _LENGTHS}
-    fitting = [unit for unit, factor in factors.items() if factor * length <= LENGTH]
-    if not fitting:
-        return None
-    unit = min(
-        fitting, key=lambda unit: abs(math.log(typical * factors[unit] / _HANDLE_ARM))
-    )
-    return Option("units", f"length={unit}")
+    nearest = math.inf
+    best_unit = None
+    for unit in _LENGTHS:
+        factor = in_unit("x", unit).factor / factors_as_read[0]
+        off = abs(math.log(typical * factor / _HANDLE_ARM))
+        if factor * length <= LENGTH and off < nearest:
+            nearest = off
+            best_unit = unit
+    return None if best_unit is None else Option("units", f"length={best_unit}")
 
 
 def jump_in_degrees(t: Floats, angle: Floats) -> tuple[int, int] | None:
@@ -297,8 +308,8 @@ def turning_rate(t: Floats, phi: Floats) -> float:
     """Turning rate in rad/s that one in four tenths of the rows exceeds: a tenth
     averages out the noise, and single bad values do not count."""
     finite = np.flatnonzero(np.isfinite(phi))
-    some = finite[:: max(1, len(finite) // 10)]
-    if len(some) < 2:
+    tenths = finite[:: max(1, len(finite) // 10)]
+    if len(tenths) < 2:
         return 0.0
-    rates = np.sort(np.abs(np.diff(phi[some]) / np.diff(t[some])))
+    rates = np.sort(np.abs(np.diff(phi[tenths]) / np.diff(t[tenths])))
     return float(np.interp(0.75, np.linspace(0, 1, len(rates)), rates))

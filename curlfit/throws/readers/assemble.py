@@ -41,9 +41,9 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     DataError, InputError : with the location of the fault.
     """
     settings = dict(parsed.settings)
-    own = settings.pop("axes", None)
-    words = (own if reading.axes is None else reading.axes) or ""
-    convention = parse_axes(words)
+    axes_of_file = settings.pop("axes", None)
+    axes = (axes_of_file if reading.axes is None else reading.axes) or ""
+    convention = parse_axes(axes)
     if reading.as_given:
         settings["as_given"] = True
     parsed = replace(parsed, notes=list(parsed.notes))
@@ -76,7 +76,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     as_given = bool(settings.get("as_given"))
     if not as_given:
         columns = _only_measured(parsed, columns)
-    calibration, unknown = _in_metres(
+    calibration, unscaled = _in_metres(
         parsed, columns, reading.reference, convention, as_given
     )
     if "quaternion_scalar" in columns:
@@ -87,40 +87,45 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         parsed.notes += unwrap_angle(parsed, columns)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
     columns = _to_sheet_axes(columns, convention)
-    if words:
+    if axes:
         parsed.notes.append(
-            Finding.note("axes", axes=words, states_zero=states_zero(words))
+            Finding.note("axes", axes=axes, states_zero=states_zero(axes))
         )
-    relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
+    relative_sigma = {name: columns.pop(f"sigma_{name}") for name in unscaled}
     if len(mark) == 2:
         add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
     return common | {
         **{name: columns.get(name) for name in ("t", *CHANNELS)},
         "sigma": {
-            c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns
+            name: columns[f"sigma_{name}"]
+            for name in CHANNELS
+            if f"sigma_{name}" in columns
         },
-        "relative_sigma": relative,
+        "relative_sigma": relative_sigma,
         "calibration": calibration,
         "notes": tuple(parsed.notes),
         "lines": parsed.lines,
-        "conventions": Conventions(
-            {s.column.quantity: s.column.factor for s in parsed.series}, words
-        ),
+        "conventions": Conventions(_factors(parsed), axes),
     }
+
+
+def _factors(parsed: ParsedFile) -> dict[str, float]:
+    """Number in SI over number in the file, by quantity."""
+    return {series.column.quantity: series.column.factor for series in parsed.series}
 
 
 def _not_empty(parsed: ParsedFile) -> _Columns:
     """The columns with a value; those of positions must have one."""
     empty = [
-        s
-        for s in parsed.series
-        if s.column.base != "t" and not np.isfinite(s.values).any()
+        series
+        for series in parsed.series
+        if series.column.base != "t" and not np.isfinite(series.values).any()
     ]
-    parsed.series = [
-        s for s in parsed.series if s.header not in {e.header for e in empty}
-    ]
+    headers = {series.header for series in empty}
+    parsed.series = [series for series in parsed.series if series.header not in headers]
     measured = any(
-        not s.column.quantity.startswith(("t", "sigma_")) for s in parsed.series
+        not series.column.quantity.startswith(("t", "sigma_"))
+        for series in parsed.series
     )
     for header, column, _ in empty:
         if column.quantity in ("x", "y", "u", "v") or not measured:
@@ -129,14 +134,14 @@ def _not_empty(parsed: ParsedFile) -> _Columns:
         parsed.notes.append(
             Finding.note("empty-column", column=header, quantity=column.quantity)
         )
-    return {s.column.quantity: s.values for s in parsed.series}
+    return {series.column.quantity: series.values for series in parsed.series}
 
 
 def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     """The columns without what stands for no measurement: a number such as -1 in all of
     a row, and a channel that is the same in all rows. Zeros before the stone moves are
     those of a stone at rest."""
-    factors = {s.column.quantity: s.column.factor for s in parsed.series}
+    factors = _factors(parsed)
     channels = [name for name in columns if name in _MEASURED]
     if not channels:
         return columns
@@ -162,28 +167,33 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     constant = [name for name in channels if _never_changes(columns[name])]
     if constant and len(constant) < len(channels):
         for name in constant:
-            value = columns[name][np.isfinite(columns[name])][0] / factors[name]
+            measured = columns[name][np.isfinite(columns[name])]
             never_changes = Finding.note(
                 "never-changes",
                 Remedy("keeps", Option("as-given"), {"count": 1}),
                 quantity=name,
-                value=float(value),
+                value=float(measured[0] / factors[name]),
             )
             parsed.notes.append(never_changes)
         left_out = {*constant, *(f"sigma_{name}" for name in constant)}
-        columns = {name: v for name, v in columns.items() if name not in left_out}
-        parsed.series = [s for s in parsed.series if s.column.quantity not in left_out]
+        columns = {
+            name: values for name, values in columns.items() if name not in left_out
+        }
+        parsed.series = [
+            series for series in parsed.series if series.column.quantity not in left_out
+        ]
     return columns
 
 
 def _never_changes(values: Floats) -> bool:
     """Whether many values are all the same."""
-    known = values[np.isfinite(values)]
-    return len(known) >= _MANY and bool(np.ptp(known) == 0)
+    measured = values[np.isfinite(values)]
+    return len(measured) >= _MANY and bool(np.ptp(measured) == 0)
 
 
 def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
-    """Some rows, in another order perhaps."""
+    """Some rows of the columns, in another order perhaps; the parsed file has their
+    lines from then on."""
     parsed.lines = None if parsed.lines is None else parsed.lines[rows]
     return {name: values[rows] for name, values in columns.items()}
 
@@ -205,53 +215,64 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     clocks = {
         name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"
     }
-    clock = {name: clock_of(name, clocks) for name in columns}
-    used = {
-        name: np.any(
-            [np.isfinite(columns[c]) for c in columns if clock[c] == name], axis=0
-        )
-        for name in clocks
-        if name in clock.values()
-    }
-    for name, rows in used.items():
-        late = rows & ~np.isfinite(clocks[name])
-        if late.any():
+    clock_by_quantity = {name: clock_of(name, clocks) for name in columns}
+    has_value = {}  # of each clock in use, the rows with a value of its quantities
+    for clock in clocks:
+        measured = [
+            np.isfinite(values)
+            for quantity, values in columns.items()
+            if clock_by_quantity[quantity] == clock
+        ]
+        if measured:
+            has_value[clock] = np.any(measured, axis=0)
+    for clock, rows in has_value.items():
+        times = clocks[clock]
+        without_time = rows & ~np.isfinite(times)
+        if without_time.any():
             fault = "the time is missing; each row needs one"
-            raise parsed.error(fault, int(np.argmax(late)), name)
-        early = np.diff(clocks[name][rows]) <= 0
-        if len(used) > 1 and early.any():
-            row = int(np.flatnonzero(rows)[np.argmax(early) + 1])
-            fault = f"time {clocks[name][row]:g} s is not later than the one before"
-            raise parsed.error(fault, row, name)
-    timed = {name: np.isfinite(clocks[name]) for name in used}
-    empty = int((~np.any([*used.values(), *timed.values()], axis=0)).sum())
-    if empty:
-        parsed.notes.append(Finding.note("empty-rows", count=empty))
-    # of several clocks, a row counts only where one of its channels has a value
-    if len(used) == 1:
-        used = timed
+            raise parsed.error(fault, int(np.argmax(without_time)), clock)
+        backward = np.diff(times[rows]) <= 0
+        if len(has_value) > 1 and backward.any():
+            row = int(np.flatnonzero(rows)[np.argmax(backward) + 1])
+            fault = f"time {times[row]:g} s is not later than the one before"
+            raise parsed.error(fault, row, clock)
+    has_time = {clock: np.isfinite(clocks[clock]) for clock in has_value}
+    filled = np.any([*has_value.values(), *has_time.values()], axis=0)
+    empty_rows = int((~filled).sum())
+    if empty_rows:
+        parsed.notes.append(Finding.note("empty-rows", count=empty_rows))
+    if len(has_value) == 1:
+        rows_of = {clock: np.flatnonzero(rows) for clock, rows in has_time.items()}
     else:
+        # of several clocks, a row counts only where one of its channels has a value
+        rows_of = {clock: np.flatnonzero(rows) for clock, rows in has_value.items()}
         merged = [
-            {"clock": name, "rows": int(rows.sum())} for name, rows in used.items()
+            {"clock": clock, "rows": len(rows)} for clock, rows in rows_of.items()
         ]
         parsed.notes.append(Finding.note("clocks-merged", clocks=merged))
-    origin_of = {name: np.flatnonzero(rows) for name, rows in used.items()}
-    every = {}
+    on_one_clock = {}
     for quantity, values in columns.items():
         pieces = [
-            values[rows] if name == clock[quantity] else np.full(len(rows), np.nan)
-            for name, rows in origin_of.items()
+            values[rows]
+            if clock == clock_by_quantity[quantity]
+            else np.full(len(rows), np.nan)
+            for clock, rows in rows_of.items()
         ]
-        every[quantity] = np.concatenate(pieces)
-    every["t"] = np.concatenate([clocks[c][rows] for c, rows in origin_of.items()])
-    _chosen(parsed, {}, np.concatenate(list(origin_of.values())))
-    return every
+        on_one_clock[quantity] = np.concatenate(pieces)
+    on_one_clock["t"] = np.concatenate(
+        [clocks[clock][rows] for clock, rows in rows_of.items()]
+    )
+    _chosen(parsed, {}, np.concatenate(list(rows_of.values())))
+    return on_one_clock
 
 
 def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     """The rows sorted by time; repeated rows appear once, rows of equal time
     are averaged."""
-    merged = len({s.column.quantity for s in parsed.series if s.column.base == "t"}) > 1
+    clocks = {
+        series.column.quantity for series in parsed.series if series.column.base == "t"
+    }
+    merged = len(clocks) > 1
     if (np.diff(columns["t"]) < 0).any():
         order = np.argsort(columns["t"], kind="stable")
         columns = _chosen(parsed, columns, order)
@@ -259,45 +280,57 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
         moved = int((np.maximum.accumulate(place) > place).sum())
         if not merged:
             parsed.notes.append(Finding.note("rows-sorted", count=moved))
-    first = np.append(True, np.diff(columns["t"]) > 0)
-    if first.all():
+    is_later = np.append(True, np.diff(columns["t"]) > 0)
+    if is_later.all():
         return columns
-    begin, owner = np.flatnonzero(first), np.cumsum(first) - 1
-    _require_one_place(parsed, columns, begin, owner)
-    same = np.all(
+    # The rows of one time are a group, which begins with a later row.
+    begin = np.flatnonzero(is_later)
+    group = np.cumsum(is_later) - 1
+    _require_one_place(parsed, columns, begin, group)
+    as_first = np.all(
         [
-            np.isclose(v, v[begin][owner], 0, 0, equal_nan=True)
-            for v in columns.values()
+            np.isclose(values, values[begin][group], 0, 0, equal_nan=True)
+            for values in columns.values()
         ],
         axis=0,
     )
-    repeated = int((same & ~first).sum())
-    means = int((~first).sum()) - repeated
+    repeated = int((as_first & ~is_later).sum())
+    averaged = int((~is_later).sum()) - repeated
     if repeated:
         parsed.notes.append(Finding.note("repeated-rows", count=repeated))
-    if means and not merged:
-        sharing = means + len(np.unique(owner[~same]))
+    if averaged and not merged:
+        sharing = averaged + len(np.unique(group[~as_first]))
         parsed.notes.append(Finding.note("equal-times", count=sharing))
-    columns = _chosen(parsed, columns, first | ~same)
+    columns = _chosen(parsed, columns, is_later | ~as_first)
     begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
-    means_of = {name: block_means(values, begin)[0] for name, values in columns.items()}
-    return means_of | _chosen(parsed, {"t": columns["t"]}, begin)
+    means = {name: block_means(values, begin)[0] for name, values in columns.items()}
+    return means | _chosen(parsed, {"t": columns["t"]}, begin)
 
 
 def _require_one_place(
-    parsed: ParsedFile, columns: _Columns, begin: np.ndarray, owner: np.ndarray
+    parsed: ParsedFile, columns: _Columns, begin: np.ndarray, group: np.ndarray
 ) -> None:
     """Refuse positions at one time that are farther apart than a stone moves from one
-    time to the next (or 0.1 m): two stones, or two throws."""
+    time to the next (or 0.1 m): two stones, or two throws.
+
+    Parameters
+    ----------
+    begin : the first row of each time. group : of each row, which of these times it
+        has.
+    """
     t = columns["t"]
     if len(begin) < 2:
         raise parsed.error(f"all rows have the same time, {t[0]:g} s", 1, "t")
-    for values in (columns[name] for name in ("x", "y") if name in columns):
-        off = np.abs(values - values[begin][owner])
+    for name in ("x", "y"):
+        if name not in columns:
+            continue
+        values = columns[name]
+        off = np.abs(values - values[begin][group])
         off[~np.isfinite(off)] = 0.0
-        usual = np.abs(np.diff(values[begin]))
-        usual = usual[np.isfinite(usual)]
-        if off.max() > max(0.1, 3 * float(np.median(usual)) if len(usual) else 0.0):
+        steps = np.abs(np.diff(values[begin]))
+        steps = steps[np.isfinite(steps)]
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        if off.max() > max(0.1, 3 * usual):
             row = int(np.argmax(off))
             select = Option("stone-index", "N")
             raise parsed.error(
@@ -317,7 +350,13 @@ def _in_metres(
     convention: AxisConvention,
     as_given: bool,
 ) -> tuple[Floats | None, tuple[str, ...]]:
-    """Positions in pixels as metres; returns as `pixels_to_metres`."""
+    """Put positions in metres in place of those in pixels, if there are any.
+
+    Returns
+    -------
+    The independent errors of the map from pixels to metres, and the channels whose
+    sigma is known up to a factor, as of `pixels_to_metres`.
+    """
     if {"u", "v"} & columns.keys():
         return pixels_to_metres(parsed, columns, reference, convention, as_given)
     if reference is not None:
@@ -337,10 +376,10 @@ def _to_sheet_axes(columns: _Columns, convention: AxisConvention) -> _Columns:
             columns.get("x", blank), columns.get("y", blank)
         )
     if convention.swapped:
-        for mine, other in (("sigma_x", "sigma_y"), ("sigma_y", "sigma_x")):
-            result.pop(mine, None)
-            if other in columns:
-                result[mine] = columns[other]
+        for to, origin in (("sigma_x", "sigma_y"), ("sigma_y", "sigma_x")):
+            result.pop(to, None)
+            if origin in columns:
+                result[to] = columns[origin]
     for name in ("phi", "omega"):
         if name in columns:
             result[name] = convention.turn * columns[name]

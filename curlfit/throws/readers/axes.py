@@ -79,15 +79,24 @@ class AxisConvention(NamedTuple):
 
     def to_sheet(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Position with x to the right and y along the throw."""
-        right = self.x[0] * x if not self.swapped else self.y[0] * y
-        along = self.y[1] * y if not self.swapped else self.x[1] * x
-        return right + 0.0, along + self.zero
+        if self.swapped:
+            right = self.y[0] * y
+            along = self.x[1] * x
+        else:
+            right = self.x[0] * x
+            along = self.y[1] * y
+        return right + 0.0, along + self.zero  # 0.0, so that no zero is negative
 
     @property
     def matrix(self) -> Floats:
         """`to_sheet` as a matrix that acts on (x, y, 1)."""
-        (a, b), (c, d) = self.x, self.y
-        return np.array([[a, c, 0.0], [b, d, self.zero], [0.0, 0.0, 1.0]])
+        return np.array(
+            [
+                [self.x[0], self.y[0], 0.0],
+                [self.x[1], self.y[1], self.zero],
+                [0.0, 0.0, 1.0],
+            ]
+        )
 
 
 def corrected(
@@ -135,28 +144,30 @@ def parse_axes(text: str | None) -> AxisConvention:
     ------
     InputError : an unknown word, or words that contradict one another.
     """
-    found: dict[str, str] = {}
-    for given in _words_in(text or ""):
-        word = _SYNONYMS.get(given, given)
+    word_by_aspect: dict[str, str] = {}
+    for written in _words_in(text or ""):
+        word = _SYNONYMS.get(written, written)
         if word not in WORDS:
             raise InputError(
-                f"axes {quoted(given)}: unknown word; expected some of "
+                f"axes {quoted(written)}: unknown word; expected some of "
                 f"{', '.join(WORDS)}"
             )
         name = word.partition("-")[0]
         aspect = name if name in _TWICE else "turn"
-        if found.setdefault(aspect, word) != word:
+        if word_by_aspect.setdefault(aspect, word) != word:
             raise InputError(f"axes {quoted(text)}: {_TWICE[aspect]}")
-    x, y = (_DIRECTIONS[found[name][2:]] if name in found else None for name in "xy")
+    x = _DIRECTIONS.get(word_by_aspect.get("x", "").removeprefix("x-"))
+    y = _DIRECTIONS.get(word_by_aspect.get("y", "").removeprefix("y-"))
     if x is None:
         x = (1, 0) if y is None or y[0] == 0 else (y[1], -y[0])
     if y is None:
         y = (0, 1) if x[1] == 0 else (-x[1], x[0])
-    convention = AxisConvention(x, y, 1, LINES[found.get("from", "from-hack")[5:]])
+    line = word_by_aspect.get("from", "from-hack").removeprefix("from-")
+    convention = AxisConvention(x, y, 1, LINES[line])
     if convention.handedness == 0:
         raise InputError(
             f"axes {quoted(text)}: x and y lie on one line; one runs along the sheet "
             "(along, back), the other across it (right, left)"
         )
     senses = {"": convention.handedness, "clockwise": -1, "counter-clockwise": 1}
-    return convention._replace(turn=senses[found.get("turn", "")])
+    return convention._replace(turn=senses[word_by_aspect.get("turn", "")])

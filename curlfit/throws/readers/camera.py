@@ -83,12 +83,10 @@ def pixels_to_metres(
         )
     if "phi" in columns:
         parsed.notes.append(Finding.note("angles-in-the-picture"))
-    to_sheet = convention.matrix
-    errors = (
-        None
-        if plane.errors is None
-        else to_sheet @ plane.errors @ np.linalg.inv(to_sheet)
-    )
+    errors = plane.errors
+    if errors is not None:
+        to_sheet = convention.matrix
+        errors = to_sheet @ errors @ np.linalg.inv(to_sheet)
     return errors, ("x", "y") if unknown else ()
 
 

@@ -24,7 +24,8 @@ _UNITS = {
     kind: {unit: factor for units, factor in table.items() for unit in units.split()}
     for kind, table in WORDS["units"].items()
 }
-_MEANS, _MAY_MEAN = by_word(WORDS["means"]), by_word(WORDS["may_mean"])
+_MEANS = by_word(WORDS["means"])
+_MAY_MEAN = by_word(WORDS["may_mean"])
 # of a time that counts frames, or of a film of 60 frames a second that was read at 30
 _FRAMES = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?fps", re.I)
 _SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*\uff08\uff09\uff3b\uff3d]+")
@@ -90,11 +91,12 @@ def named_column(header: str, quantity: str) -> Column:
     ------
     InputError : what is in brackets there is no unit of the quantity.
     """
-    words, units = _words(header, True), units_of(quantity)
+    words = _words(header, True)
+    units = units_of(quantity)
     for begin in (-2, -1):
-        if "".join(words[begin:]) in units:
-            unit = words[begin:]
-            return Column(quantity, "/".join(unit), units["".join(unit)])
+        unit = "".join(words[begin:])
+        if unit in units:
+            return Column(quantity, "/".join(words[begin:]), units[unit])
     if bracket := re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", header):
         return in_unit(quantity, bracket[1])
     return Column(quantity, next(iter(units)), 1.0, stated=False)
@@ -105,18 +107,25 @@ def unit_in(header: str, kind: str) -> str:
     empty if there is none."""
     units = units_of(kind)
     words = _words(header, True)
-    return next(
-        (unit for begin in (-2, -1) if (unit := "".join(words[begin:])) in units), ""
-    )
+    for begin in (-2, -1):
+        unit = "".join(words[begin:])
+        if unit in units:
+            return unit
+    return ""
 
 
 def resembled(header: str) -> str | None:
     """The quantity that a header of unknown meaning reminds of; None if none or
     more than one."""
     words = _words(header, True)
-    found = {_MAY_MEAN.get(word) or _named(word, _NAMES) for word in words} - {None}
-    found |= {name for name in ("omega", "phi") if "".join(words[-2:]) in _UNITS[name]}
-    return found.pop() if len(found) == 1 and found <= _NAMES.keys() else None
+    quantities = {_MAY_MEAN.get(word) or _named(word, _NAMES) for word in words}
+    quantities.discard(None)
+    for angular in ("omega", "phi"):
+        if "".join(words[-2:]) in _UNITS[angular]:
+            quantities.add(angular)
+    if len(quantities) == 1 and quantities <= _NAMES.keys():
+        return quantities.pop()
+    return None
 
 
 def has_japanese_words(text: str) -> bool:
@@ -134,9 +143,8 @@ def _words(header: str, other_words: bool) -> list[str]:
     if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
         words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     if other_words:
-        words = [
-            word for k, word in enumerate(words, 1) if word != "in" or k == len(words)
-        ]
+        # "in" is a unit only at the end: `time in s` has none of length
+        words = [word for word in words[:-1] if word != "in"] + words[-1:]
         words = " ".join(_MEANS.get(word, word) for word in words).split()
         # the unit may say the quantity again
         words = [word for word, _ in groupby(words)]
@@ -146,8 +154,11 @@ def _words(header: str, other_words: bool) -> list[str]:
 def units_of(quantity: str) -> dict[str, float]:
     """Units that a quantity may have, with their factors to SI."""
     base = quantity.removeprefix("sigma_")
-    kind = "pixel" if base in ("u", "v") else "t" if base.startswith("t") else base
-    return _UNITS.get(kind, _UNITS["length"])
+    if base in ("u", "v"):
+        return _UNITS["pixel"]
+    if base.startswith("t"):
+        return _UNITS["t"]
+    return _UNITS.get(base, _UNITS["length"])
 
 
 def is_unit(text: str) -> bool:
@@ -181,7 +192,7 @@ def parse_units(text: str | None) -> dict[str, str]:
     ------
     InputError : a part that is not QUANTITY=UNIT, an unknown quantity or unit.
     """
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for part in (text or "").split(","):
         if not part.strip():
             continue
@@ -189,7 +200,7 @@ def parse_units(text: str | None) -> dict[str, str]:
         quantity = _quantity([name.lower()]) if equals and unit else None
         if equals and name.lower() == "date":
             _require_order(unit)
-            found["date"] = unit
+            units["date"] = unit
             continue
         if equals and unit and name.lower() == "length":
             quantities = ["x", "y"]
@@ -201,10 +212,10 @@ def parse_units(text: str | None) -> dict[str, str]:
                 "as t=ms,x=cm,angle=deg with the quantities t, x, y, length, "
                 "angle, speed, spin"
             )
-        for item in quantities:
-            in_unit(item, unit)
-            found[item] = unit
-    return found
+        for quantity in quantities:
+            in_unit(quantity, unit)
+            units[quantity] = unit
+    return units
 
 
 def _require_order(order: str) -> None:
@@ -219,10 +230,10 @@ def with_unit(column: Column, unit: str | None) -> Column:
     """A column in the unit given by the user, if any, instead of that of its header."""
     if unit is None:
         return column
-    found = in_unit(column.base, unit)
-    return found._replace(
-        quantity=column.quantity.replace(column.base, found.quantity, 1)
-    )
+    in_its_unit = in_unit(column.base, unit)
+    # x in pixels is u
+    quantity = column.quantity.replace(column.base, in_its_unit.quantity, 1)
+    return in_its_unit._replace(quantity=quantity)
 
 
 def quantity_of(name: str) -> str | None:
@@ -253,18 +264,22 @@ def unit_of_frames(rate: str) -> str:
 
 
 def _named(name: str, patterns: Mapping[str, str]) -> str | None:
-    return next(
-        (key for key, names in patterns.items() if re.fullmatch(names, name)), None
-    )
+    """The first key whose pattern a name has; None for none."""
+    for key, pattern in patterns.items():
+        if re.fullmatch(pattern, name):
+            return key
+    return None
 
 
 def _quantity(words: list[str]) -> str | None:
-    rest = [word for word in words if word not in _SIGMA]
-    quantity = _named("".join(rest), _NAMES)
-    if len(rest) < len(words):
+    """The quantity that words name, such as `x`, `sigma x`, or `t phi` for a clock of
+    the angle; None for none."""
+    without_sigma = [word for word in words if word not in _SIGMA]
+    quantity = _named("".join(without_sigma), _NAMES)
+    if len(without_sigma) < len(words):
         return f"sigma_{quantity}" if quantity not in (None, "t") else None
     if quantity is None and len(words) > 1:
-        for clock, other in ((words[0], words[1:]), (words[-1], words[:-1])):
+        for clock, of_clock in ((words[0], words[1:]), (words[-1], words[:-1])):
             if clock != "seconds" and re.fullmatch(_NAMES["t"], clock):
-                return _named("".join(other), _CLOCKS)
+                return _named("".join(of_clock), _CLOCKS)
     return quantity

@@ -74,7 +74,7 @@ def read_comments(file: TextFile, until: int | None = None) -> Comments:
     ------
     DataError : a setting that cannot be read or used.
     """
-    known: list[tuple[int, str]] = []
+    settings_lines: list[tuple[int, str]] = []
     unknown: list[dict[str, Any]] = []
     for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
@@ -85,20 +85,22 @@ def read_comments(file: TextFile, until: int | None = None) -> Comments:
         if not key.isidentifier():
             continue
         if key in _SETTINGS and (key != "columns" or dot):
-            known.append((index, body))
+            settings_lines.append((index, body))
         else:
             unknown.append({"key": quoted(key), "line": index + 1})
-    if len(known) > _MOST_SETTINGS:
+    if len(settings_lines) > _MOST_SETTINGS:
         fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
-        raise file.error(fault, known[_MOST_SETTINGS][0])
-    settings, fault = _settings(known)
+        raise file.error(fault, settings_lines[_MOST_SETTINGS][0])
+    settings, fault = _settings(settings_lines)
     if fault:
+        # The fault is that of the first line with which the lines so far have one.
         first = bisect_left(
-            range(len(known)),
+            range(len(settings_lines)),
             True,
-            key=lambda end: bool(_settings(known[: end + 1])[1]),
+            key=lambda end: bool(_settings(settings_lines[: end + 1])[1]),
         )
-        raise file.error(_settings(known[: first + 1])[1], known[first][0])
+        _, fault = _settings(settings_lines[: first + 1])
+        raise file.error(fault, settings_lines[first][0])
     notes = []
     if unknown:
         more = len(unknown) - _MOST_NAMED
@@ -174,25 +176,30 @@ def _check(settings: dict[str, Any]) -> None:
         parse_axes(settings["axes"])
 
 
-def _reference(file: TextFile, found: Any) -> Reference | None:
-    if found is None:
+def _reference(file: TextFile, setting: Any) -> Reference | None:
+    """The reference in a setting, if there is one. Raises `DataError` for another
+    value."""
+    if setting is None:
         return None
     try:
-        found = {
+        stated = {
             "source": "reference",
             "note": "",
             "stone": {},
             "rounding": {},
-            **found,
+            **setting,
         }
         for key in ("stone", "rounding"):
-            Stone().with_values(found[key])  # checks names and signs
+            Stone().with_values(stated[key])  # checks names and signs
         tables = {
-            key: {str(name): float(value) for name, value in found[key].items()}
+            key: {str(name): float(value) for name, value in stated[key].items()}
             for key in ("values", "stone", "rounding")
         }
         return Reference(
-            str(found["source"]), str(found["law"]), note=str(found["note"]), **tables
+            str(stated["source"]),
+            str(stated["law"]),
+            note=str(stated["note"]),
+            **tables,
         )
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
         raise file.error(_REFERENCE) from None

@@ -94,27 +94,36 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     notes = parsed.notes
     period, positions, names = _paths(file, chosen)
     xy = positions[:, :, :2]
-    far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
-    began = {int(k): _first_change(positions[k]) for k in np.flatnonzero(far > _MOVED)}
-    if not began:
+    extent = np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)
+    way = np.hypot(*extent.T)
+    # the frame in which a stone is first elsewhere, of each that moves
+    first_frame = {
+        int(stone): _first_change(positions[stone])
+        for stone in np.flatnonzero(way > _MOVED)
+    }
+    if not first_frame:
         raise file.error(f"no stone moves in {chosen.name}", chosen.line - 1)
-    first = min(began.values())
-    thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
+    earliest = min(first_frame.values())
+    first_stones = [stone for stone in first_frame if first_frame[stone] == earliest]
+    thrown = max(first_stones, key=lambda stone: way[stone])
     stone = choose("stone", "--stone-index", stone_index, names, thrown)
-    if stone not in began:
-        moving = {k: names[k] for k in began}
+    if stone not in first_frame:
+        moving = {other: names[other] for other in first_frame}
         fault = does_not_move(stone, names[stone], moving)
         raise file.error(fault, chosen.line - 1)
     # A free throw: from its first motion until another stone moves.
     time = period * np.arange(positions.shape[1])
-    others = [row for k, row in began.items() if k != stone and row > began[stone]]
-    if others:
-        end = float(time[min(others) - 1])
+    begin = first_frame[stone]
+    frames_of_others = [
+        frame
+        for other, frame in first_frame.items()
+        if other != stone and frame > begin
+    ]
+    if frames_of_others:
+        end = float(time[min(frames_of_others) - 1])
         parsed.settings.setdefault("until", end)
         notes.append(Finding.note("another-stone-moves", t=end))
-    keep = np.isfinite(positions[stone, :, 0]) & (
-        np.arange(len(time)) >= began[stone] - 1
-    )
+    keep = np.isfinite(positions[stone, :, 0]) & (np.arange(len(time)) >= begin - 1)
     logged = Finding.note(
         "logged-stone",
         shot=chosen.name,
@@ -129,15 +138,10 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     notes.append(Finding.note("simulated"))
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
-    measured = (
-        ("position.x", "x", "m"),
-        ("position.y", "y", "m"),
-        ("angle", "phi", "rad"),
-    )
-    for (header, quantity, unit), values in zip(
-        measured, positions[stone, keep].T, strict=True
-    ):
-        parsed.add(header, Column(quantity, unit, 1.0), values)
+    x, y, angle = positions[stone, keep].T
+    parsed.add("position.x", Column("x", "m", 1.0), x)
+    parsed.add("position.y", Column("y", "m", 1.0), y)
+    parsed.add("angle", Column("phi", "rad", 1.0), angle)
     return parsed
 
 
@@ -148,30 +152,33 @@ def _shots_of(file: TextFile) -> list[Shot]:
     ------
     DataError : the file is not a log, or contains no shot.
     """
-    shots = [
-        Shot(number, *found)
-        for number, value in values_in(file, _EXPECTED)
-        for item in (value if isinstance(value, list) else [value])
-        if (found := _trajectory(item)) is not None
-    ]
+    shots = []
+    for line, value in values_in(file, _EXPECTED):
+        for entry in value if isinstance(value, list) else [value]:
+            shot = _shot(line, entry)
+            if shot is not None:
+                shots.append(shot)
     if not shots:
         raise file.error(f"no trajectory found; {_EXPECTED}")
     return shots
 
 
-def _trajectory(
-    item: Any, name: str = "shot", deepest: int = _DEEPEST
-) -> tuple[str, dict[str, Any]] | None:
+def _shot(
+    line: int, entry: Any, name: str = "shot", deepest: int = _DEEPEST
+) -> Shot | None:
     """The first trajectory in an entry, named after the end and the shot
     given beside it."""
-    if not isinstance(item, dict) or not deepest:
+    if not isinstance(entry, dict) or not deepest:
         return None
-    if "frames" in item and "seconds_per_frame" in item:
-        return name, item
-    if isinstance(item.get("end"), int) and isinstance(item.get("shot"), int):
-        name = f"end {item['end']} shot {item['shot']}"
-    parts = (_trajectory(part, name, deepest - 1) for part in item.values())
-    return next((found for found in parts if found is not None), None)
+    if "frames" in entry and "seconds_per_frame" in entry:
+        return Shot(line, name, entry)
+    if isinstance(entry.get("end"), int) and isinstance(entry.get("shot"), int):
+        name = f"end {entry['end']} shot {entry['shot']}"
+    for part in entry.values():
+        shot = _shot(line, part, name, deepest - 1)
+        if shot is not None:
+            return shot
+    return None
 
 
 def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
@@ -186,7 +193,8 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
         raise refuse(
             f"seconds_per_frame = {quoted(period)}; expected a positive number"
         )
-    start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
+    start = shot.trajectory.get("start")
+    frames = shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
     stones = {
@@ -205,8 +213,10 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
         for count, changes in enumerate(frames, 1):
             positions[:, count] = positions[:, count - 1]
             for change in changes:
-                team, index = change["team"], change["index"]
-                place = places[team if isinstance(team, str) else f"team{team}", index]
+                team = change["team"]
+                if not isinstance(team, str):
+                    team = f"team{team}"
+                place = places[team, change["index"]]
                 positions[place, count] = _stone(change["value"])
     except (KeyError, TypeError, ValueError):
         raise refuse(f"frame {count}: {_CHANGE}") from None

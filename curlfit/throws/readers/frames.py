@@ -80,8 +80,8 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
 def _in_unit(values: Any, column: Column, parsed: ParsedFile, header: str) -> Floats:
     """The numbers of a column in its unit."""
 
-    def fault(said: str) -> DataError:
-        return parsed.error(said, quantity=header)
+    def fault(message: str) -> DataError:
+        return parsed.error(message, quantity=header)
 
     if column.quantity.startswith("t"):
         return times(values, fault, column.factor)
@@ -106,10 +106,10 @@ def _variables(table: Any, parsed: ParsedFile) -> _Variables:
     fields = getattr(getattr(table, "dtype", None), "names", None)
     if fields:  # an array of NumPy with named fields
         return {name: table[name] for name in fields}, {}
-    found = f"{type(table).__name__} found, expected {_TABLES}"
+    fault = f"{type(table).__name__} found, expected {_TABLES}"
     if isinstance(table, str):
-        found = f"{quoted(table)} found, expected {_TABLES}; load_throw reads a file"
-    raise InputError(f"table: {found}")
+        fault = f"{quoted(table)} found, expected {_TABLES}; load_throw reads a file"
+    raise InputError(f"table: {fault}")
 
 
 def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
@@ -118,18 +118,22 @@ def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
         name: variable for name, variable in every.items() if len(variable.dims) == 1
     }
     if len(flat) < len(every):
-        others = [name for name in every if name not in flat]
-        parsed.notes.append(Finding.note("variables-ignored", variables=others))
-    used = {
-        name: v.dims[0] for name, v in flat.items() if parse_header(name) is not None
+        ignored = [name for name in every if name not in flat]
+        parsed.notes.append(Finding.note("variables-ignored", variables=ignored))
+    dimensions = {
+        name: variable.dims[0]
+        for name, variable in flat.items()
+        if parse_header(name) is not None
     }
-    if len(set(used.values())) > 1:
-        listed = ", ".join(f"{name} along {dim}" for name, dim in used.items())
+    if len(set(dimensions.values())) > 1:
+        listed = ", ".join(f"{name} along {dim}" for name, dim in dimensions.items())
         raise parsed.error(
             f"variables along different dimensions ({listed}); merge them to one"
         )
     units = {
-        name: str(v.attrs["units"]) for name, v in flat.items() if v.attrs.get("units")
+        name: str(variable.attrs["units"])
+        for name, variable in flat.items()
+        if variable.attrs.get("units")
     }
     return {name: variable.values for name, variable in flat.items()}, units
 
@@ -143,9 +147,9 @@ def _of_frame(table: Any, parsed: ParsedFile) -> dict[str, Any]:
     index = getattr(table, "index", None)
     if index is None or any(map(_is_time, values)) or getattr(index, "nlevels", 1) > 1:
         return values
-    own = str(index.name)
-    if _is_time(own):
-        return {own: index, **values}
+    name = str(index.name)
+    if _is_time(name):
+        return {name: index, **values}
     dates = as_array(index).dtype.kind in "mM"
     return {"time": index, **values} if dates else values
 

@@ -29,8 +29,9 @@ class Headings(NamedTuple):
 
     Attributes
     ----------
-    names : the headings, in order. error : makes an error about them, from a message
-        and, if any, options to type instead.
+    names : the headings, in order.
+    error : makes an error about them, from a message and, if any, options to type
+        instead.
     numeric : whether the column of an index holds numbers.
     """
 
@@ -52,19 +53,21 @@ class Headings(NamedTuple):
         DataError : as `columns`.
         """
         columns = self.columns(reading, parsed.settings.pop("columns", {}))
-        names = enumerate(self.names)
-        parsed.ignored = [name for k, name in names if name and k not in columns]
-        if like := self._unused(columns):
+        parsed.ignored = [
+            name for k, name in enumerate(self.names) if name and k not in columns
+        ]
+        like = self._unused(columns)
+        if like:
             option = _columns_option(like)
             if python:
                 option = Option("columns", str(like), in_python=True)
-            note = Finding.note(
+            not_used = Finding.note(
                 "columns-not-used",
                 Remedy("reads-them-so", option),
                 quantities=list(like),
                 columns=list(like.values()),
             )
-            parsed.notes.insert(0, note)
+            parsed.notes.insert(0, not_used)
         return columns
 
     def columns(self, reading: Reading, own: Mapping[str, str]) -> dict[int, Column]:
@@ -85,46 +88,45 @@ class Headings(NamedTuple):
         DataError : two columns have the same meaning, or a required one is missing.
         """
         units = c.parse_units(reading.units)
-        bare = [name.strip().lower() for name in self.names]
-        meant = {
-            column.quantity for name in self.names if (column := c.parse_header(name))
-        }
-        pixels = reading.reference is not None
-        velocities = not pixels and {"x", "y"} <= meant and "u" in bare
-        pixels = pixels or ("u" in bare and "v" in bare and not velocities)
-        has_both = {"x", "y", "u", "v"} <= meant and not velocities
-        frames = [k for k, word in enumerate(bare) if _FRAME_NUMBERS.fullmatch(word)]
-        frames = [] if "t" in meant else frames
+        words = [name.strip().lower() for name in self.names]
+        headed = set(c.quantities_of(self.names))
+        has_reference = reading.reference is not None
+        # Beside x and y, a column u is a velocity, and v with it.
+        velocities = not has_reference and {"x", "y"} <= headed and "u" in words
+        pixels = has_reference or ({"u", "v"} <= set(words) and not velocities)
+        has_both = {"x", "y", "u", "v"} <= headed and not velocities
+        frames: list[int] = []
+        if "t" not in headed:
+            frames = [
+                index
+                for index, word in enumerate(words)
+                if _FRAME_NUMBERS.fullmatch(word)
+            ]
 
-        def as_set(column: Column) -> Column:
+        def in_unit(column: Column) -> Column:
+            """A column in the unit that the user gives, or in pixels."""
             column = c.with_unit(column, units.get(column.base))
-            if (
-                pixels
-                and not has_both
-                and not column.stated
-                and column.quantity in ("x", "y", "sigma_x", "sigma_y")
-            ):
+            is_place = column.quantity in ("x", "y", "sigma_x", "sigma_y")
+            if is_place and pixels and not has_both and not column.stated:
                 axis = "u" if column.base == "x" else "v"
                 return Column(column.quantity[:-1] + axis, "px", 1.0)
             return column
 
         named = self._named({**own, **reading.columns}, units)
-        columns = {index: as_set(column) for index, column in named.items()}
+        columns = {index: in_unit(column) for index, column in named.items()}
         chosen = {column.quantity for column in columns.values()}
         index_of: dict[str, int] = {}
-        for index, (name, word) in enumerate(zip(self.names, bare, strict=True)):
+        for index, (name, word) in enumerate(zip(self.names, words, strict=True)):
+            if index in columns or (velocities and word in ("u", "v")):
+                continue
             column = c.parse_header(name)
             if index in frames and units.get("t", "").endswith("fps"):
                 column = Column("t", "s", 1.0, stated=False)
             if pixels and word in ("v", "sigma_v"):
                 column = Column(word, "px", 1.0)
-            if (
-                column is None
-                or index in columns
-                or (velocities and word in ("u", "v"))
-            ):
+            if column is None:
                 continue
-            column = as_set(column)
+            column = in_unit(column)
             if column.quantity in chosen:
                 continue
             other = index_of.setdefault(column.quantity, index)
@@ -134,10 +136,11 @@ class Headings(NamedTuple):
                     f"{column.quantity}; rename or remove one"
                 )
             columns[index] = column
-        columns |= self._in_other_words(columns, as_set)
+        columns |= self._in_other_words(columns, in_unit)
         if has_both:
-            in_pixels = reading.reference is not None or chosen & {"u", "v"}
-            left_out = ("x", "y") if in_pixels else ("u", "v")
+            left_out = ("u", "v")
+            if has_reference or chosen & {"u", "v"}:
+                left_out = ("x", "y")
             columns = {
                 index: column
                 for index, column in columns.items()
@@ -167,36 +170,36 @@ class Headings(NamedTuple):
         return columns
 
     def _in_other_words(
-        self, columns: Mapping[int, Column], as_set: Callable[[Column], Column]
+        self, columns: Mapping[int, Column], in_unit: Callable[[Column], Column]
     ) -> dict[int, Column]:
         """Further columns by words that are less certain: of quantities that no other
         column has, each of one column alone, positions only in pairs."""
-        taken = {column.quantity for column in columns.values()}
-        candidates: dict[str, list[tuple[int, Column]]] = {}
+        present = {column.quantity for column in columns.values()}
+        candidates: dict[str, dict[int, Column]] = {}
         for index, name in enumerate(self.names):
             column = c.parse_header(name, other_words=True)
             if index in columns or column is None or c.parse_header(name) is not None:
                 continue
-            column = as_set(column)
+            column = in_unit(column)
             if column.quantity in ("t", "x", "y", "u", "v") or self.numeric(index):
-                candidates.setdefault(column.quantity, []).append((index, column))
+                candidates.setdefault(column.quantity, {})[index] = column
         sole = {
-            quantity: columns_of_it[0]
-            for quantity, columns_of_it in candidates.items()
-            if len(columns_of_it) == 1 and quantity not in taken
+            quantity
+            for quantity, column_by_index in candidates.items()
+            if len(column_by_index) == 1 and quantity not in present
         }
-        for pair, other in (
-            ("xy", taken & {"u", "v"}),
-            ("uv", (taken | sole.keys()) & {"x", "y"}),
-        ):
-            if other or not set(pair) <= taken | sole.keys():
-                for axis in pair:
-                    sole.pop(axis, None)
-        return {
-            k: column
-            for k, column in sole.values()
-            if not column.quantity.startswith("sigma")
-        }
+        with_sole = present | sole
+        has_metres = {"x", "y"} <= with_sole and not present & {"u", "v"}
+        has_pixels = {"u", "v"} <= with_sole and not with_sole & {"x", "y"}
+        if not has_metres:
+            sole -= {"x", "y"}
+        if not has_pixels:
+            sole -= {"u", "v"}
+        further: dict[int, Column] = {}
+        for quantity, column_by_index in candidates.items():
+            if quantity in sole and not quantity.startswith("sigma"):
+                further |= column_by_index
+        return further
 
     def _missing(self, missing: Sequence[str], *, has_frames: bool) -> DataError:
         """The error of columns that are missing, with what would make other columns
@@ -214,7 +217,7 @@ class Headings(NamedTuple):
             option = _columns_option(example)
             remedy = f"or say which they are, as in {option}"
         return self.error(
-            f"no column for {' and '.join(missing)} among {self._listed}; "
+            f"no column for {' and '.join(missing)} among {_listed(self.names)}; "
             f"{EXPECTED}; {remedy}",
             options=(option,),
         )
@@ -222,30 +225,23 @@ class Headings(NamedTuple):
     def _unused(self, columns: Mapping[int, Column]) -> dict[str, str]:
         """Columns of numbers that are not used although they resemble what is not
         measured otherwise, by quantity."""
-        taken = {column.quantity for column in columns.values()}
+        present = {column.quantity for column in columns.values()}
         like: dict[str, str] = {}
         for index, name in enumerate(self.names):
             quantity = None if index in columns else c.resembled(name)
-            if (
-                quantity not in CHANNELS
-                or quantity in {*taken, *like}
-                or set(name) & set(',"$`')
-            ):
+            if quantity not in CHANNELS or quantity in present or quantity in like:
                 continue
-            with suppress(InputError):
+            if set(name) & set(',"$`'):
+                continue  # cannot be typed in an option
+            with suppress(InputError):  # of a unit or a row that cannot be read
                 c.named_column(name, quantity)
-                like |= {quantity: name} if self.numeric(index) else {}
-        if taken & {"u", "v"} or not {"x", "y"} <= {*taken, *like}:
-            like = {
-                quantity: name
-                for quantity, name in like.items()
-                if quantity not in "xy"
-            }
+                if self.numeric(index):
+                    like[quantity] = name
+        has_place = {"x", "y"} <= present | like.keys()
+        if present & {"u", "v"} or not has_place:
+            like.pop("x", None)
+            like.pop("y", None)
         return like
-
-    @property
-    def _listed(self) -> str:
-        return cut(", ".join(self.names), _MOST_NAMES)
 
 
 def has_clock(headings: Iterable[str]) -> bool:
@@ -294,13 +290,17 @@ def named_columns(
             how_many = (
                 "more than one column, or one named twice," if places else "no column"
             )
-            listed = cut(", ".join(headings), _MOST_NAMES)
             raise error(
                 f"columns {key}={quoted(header)}: {how_many} of this name among "
-                f"{listed}"
+                f"{_listed(headings)}"
             )
         quantities[places[0]] = quantity
     return quantities
+
+
+def _listed(headings: Sequence[str]) -> str:
+    """Headings for a message, cut if they are many."""
+    return cut(", ".join(headings), _MOST_NAMES)
 
 
 def without_unit(heading: str) -> str:

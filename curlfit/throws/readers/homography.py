@@ -26,8 +26,9 @@ class Homography(NamedTuple):
     ----------
     matrix : shape (3, 3), acting on (u, v, 1); its third coordinate is
         positive on the ice.
-    points : number of known points. rms_px : root mean square error of a coordinate of
-        the known points in the image, pixels.
+    points : number of known points.
+    rms_px : root mean square error of a coordinate of the known points in the image,
+        pixels.
     errors : independent errors of the map, each of one standard deviation, shape (8, 3,
         3): a place (x, y, 1) on the sheet may in truth be at (I + error)(x, y, 1),
         homogeneous. None for four points, which leave no residual.
@@ -49,11 +50,14 @@ class Homography(NamedTuple):
     def jacobian(self, u: Floats, v: Floats) -> Floats:
         """d(x, y)/d(u, v) in m per pixel, shape (2, 2, n)."""
         x, y, w = self.matrix @ np.stack([u, v, np.ones_like(u)])
-        rows = [
-            [(self.matrix[i, k] - at / w * self.matrix[2, k]) / w for k in (0, 1)]
-            for i, at in enumerate((x, y))
-        ]
-        return np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), np.array(rows), np.nan)
+        of_x, of_y, of_w = self.matrix[:, :2]
+        slopes = np.array(
+            [
+                [(of_x[0] - x / w * of_w[0]) / w, (of_x[1] - x / w * of_w[1]) / w],
+                [(of_y[0] - y / w * of_w[0]) / w, (of_y[1] - y / w * of_w[1]) / w],
+            ]
+        )
+        return np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), slopes, np.nan)
 
 
 def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
@@ -69,8 +73,8 @@ def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
     """
     places = np.stack([x, y, np.ones_like(x)], -2)[..., None, :, :]
     moved = errors @ places
-    found: Floats = moved[..., :2, :] - places[..., :2, :] * moved[..., 2:, :]
-    return found
+    off: Floats = moved[..., :2, :] - places[..., :2, :] * moved[..., 2:, :]
+    return off
 
 
 def homography(
@@ -89,7 +93,8 @@ def homography(
     DataError : fewer than four points, collinear points, or points that are not
         consistent with an image of a plane.
     """
-    n, area = pixels.shape[1], "take four corners of an area"
+    n = pixels.shape[1]
+    area = "take four corners of an area"
 
     def require(sound: bool, fault: str) -> None:
         if not sound:
@@ -97,25 +102,27 @@ def homography(
 
     require(n >= 4, f"{counted(n, 'point')}; a homography needs four or more")
     for what, points in (("in the image", pixels), ("on the sheet", metres)):
-        spread = np.linalg.svd(
-            points - points.mean(axis=1, keepdims=True), compute_uv=False
-        )
+        centred = points - points.mean(axis=1, keepdims=True)
+        spread = np.linalg.svd(centred, compute_uv=False)
         require(
             bool(spread[1] > 1e-3 * spread[0]),
             f"the points are collinear {what}; {area}",
         )
-    (a, T), (b, U) = normalised(pixels), normalised(metres)
-    inner, determined = _direct_linear_transform(a, b)
+    image, to_image = normalised(pixels)
+    sheet, to_sheet = normalised(metres)
+    initial, determined = _direct_linear_transform(image, sheet)
     require(determined, f"three of the points are collinear, or two coincide; {area}")
-    depth = inner[2] @ np.stack([*a, np.ones(n)])
+    depth = initial[2] @ np.stack([*image, np.ones(n)])
     require(
         bool((depth > 0).all() or (depth < 0).all()),
         "no image of a plane has the points in this order; two of them "
         "may be interchanged",
     )
-    camera, off, slope = _least_squares(np.linalg.inv(inner * np.sign(depth[0])), a, b)
-    matrix = np.linalg.inv(U) @ np.linalg.inv(camera) @ T
-    fitted = Homography(matrix / np.abs(matrix).max(), n, _rms(off) / T[0, 0])
+    initial_camera = np.linalg.inv(initial * np.sign(depth[0]))
+    camera, off, slope = _least_squares(initial_camera, image, sheet)
+    matrix = np.linalg.inv(to_sheet) @ np.linalg.inv(camera) @ to_image
+    rms_px = _rms(off) / to_image[0, 0]
+    fitted = Homography(matrix / np.abs(matrix).max(), n, rms_px)
     rms_m = _rms(np.stack(fitted(*pixels)) - metres)
     require(
         bool(np.isfinite(rms_m)) and _rms(off) <= 0.1,
@@ -127,7 +134,7 @@ def homography(
         # covariance s^2 (J^T J)^-1 = root root^T, with s^2 = rss/(2 n - 8)
         scale = np.sqrt((off**2).sum() / (2 * n - 8))
         root = scale * np.linalg.inv(np.linalg.qr(slope, mode="r"))
-        errors = np.linalg.inv(U) @ _generators(root.T) @ U
+        errors = np.linalg.inv(to_sheet) @ _generators(root.T) @ to_sheet
     return fitted._replace(errors=errors)
 
 
@@ -148,10 +155,9 @@ def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool
     points determine it."""
     rows = transform_rows(image, sheet)
     _, sizes, directions = np.linalg.svd(rows.reshape(-1, 9))
-    found: Floats = directions[-1].reshape(3, 3)
-    return found, bool(
-        sizes[7] >= 1e-4 * sizes[0] and abs(np.linalg.det(found)) >= 1e-6
-    )
+    matrix: Floats = directions[-1].reshape(3, 3)
+    one_direction = sizes[7] >= 1e-4 * sizes[0]
+    return matrix, bool(one_direction and abs(np.linalg.det(matrix)) >= 1e-6)
 
 
 def _least_squares(

@@ -10,6 +10,7 @@ distance of all (Rousseeuw and Leroy 1987, Robust Regression and Outlier Detecti
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 from math import comb
 from pathlib import Path
@@ -64,13 +65,29 @@ def load_homography(file: Path, as_given: bool = False) -> Homography:
         that are not consistent with an image of a plane.
     """
     text = TextFile.read(file)
+    return _fitted(file, tuple(text.lines), text.note, as_given)
+
+
+# The choices of a file are checked before it is read, and a batch has one camera for
+# all of its files: the fit takes far longer than the rest of a reading.
+@lru_cache(maxsize=4)
+def _fitted(
+    file: Path, lines_of_file: tuple[str, ...], note: Finding | None, as_given: bool
+) -> Homography:
+    """The map of the points in the lines of a file, as of `load_homography`.
+
+    Parameters
+    ----------
+    note : on what of the file was read, if it has more.
+    """
+    text = TextFile(file, list(lines_of_file), note)
     table, values, _ = read_quantities(text, _meaning, _QUANTITIES, _EXPECTED)
     points = np.stack([values[quantity] for quantity in _QUANTITIES])
     _require_numbers(table, points)
     lines = np.array(table.rows) + 1
     notes = [*table.findings]
-    if text.note is not None:
-        notes.append(text.note)
+    if note is not None:
+        notes.append(note)
     _, first = np.unique(points, axis=1, return_index=True)
     repeated = points.shape[1] - len(first)
     if repeated:

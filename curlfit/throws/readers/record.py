@@ -18,10 +18,12 @@ SIGMA_REST = 0.05
 """Standard deviation in m of a position measured with a tape: a judgement."""
 SIGMA_TURNS = 0.1
 """Standard deviation of the number of turns, counted by eye: a judgement."""
-SIGMA_SPEED, SIGMA_SPIN = 0.02, 0.05
-"""Standard deviations of a speed (m/s) by light barriers 2 m apart or a radar, 1 %,
-and of a spin (rad/s) from two pictures of the handle, 0.5 s apart and each within 1
-degree: judgements."""
+SIGMA_SPEED = 0.02
+"""Standard deviation in m/s of a speed by light barriers 2 m apart or a radar, 1 %: a
+judgement."""
+SIGMA_SPIN = 0.05
+"""Standard deviation in rad/s of a spin from two pictures of the handle, 0.5 s apart
+and each within 1 degree: a judgement."""
 USUAL_SPIN = 1.2
 """Spin in rad/s at the near hog line where it was not measured: that of two and a half
 turns in 25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
@@ -35,9 +37,17 @@ EXPECTED = (
 
 
 class Kind(NamedTuple):
-    """What may be written of a quantity: units, largest size (SI), words; only words if
-    no unit. Throws may differ by `usual`. Lines at which, and since which, it is
-    measured; None is rest, or the throw's own axes."""
+    """What may be written of a quantity.
+
+    Attributes
+    ----------
+    unit : the quantity whose units it has; empty if it is in words only.
+    limit : largest size, SI.
+    words : that may follow the number.
+    usual : by how much throws may differ, SI.
+    at : the line at which it is measured; None at rest.
+    since : the line since which it is measured; None for the throw's own axes.
+    """
 
     unit: str
     limit: float = 600.0
@@ -140,92 +150,105 @@ class Record:
         self.file = file
         self.row = row
         self.limited = limited
-        self.found = {key: self._read(key) for key in row.entries}
+        self.measured = {key: self._read(key) for key in row.entries}
 
     def _error(self, key: str, message: str) -> DataError:
         return self.file.error(message, self.row.entries[key].line - 1, key)
 
     def _read(self, key: str) -> Quantity:
+        """A quantity of the row. Raises `DataError` for what it cannot be."""
         _, text, unit = self.row.entries[key]
-        of, limit, words, *_ = KINDS[key]
+        kind = KINDS[key]
+        per = 2 * math.pi if kind.unit == "phi" else 1.0
         try:
-            found = parse_quantity(
-                text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0
-            )
+            quantity = parse_quantity(text, kind.unit or "x", unit, per=per)
         except InputError as error:
             raise self._error(key, str(error)) from None
-        if not of:
-            return found
-        value = found.value
+        if not kind.unit:
+            return quantity
+        value = quantity.value
+        words = quantity.words
         fault = ""
-        if math.isnan(value) or found.words - words or len(found.words) > 1:
-            what = f"a number and {' or '.join(sorted(words))}" if words else "a number"
-            fault = f"{quoted(text)} found, expected {what}"
-        elif value <= 0 and (of in ("t", "speed") or key.startswith("sigma")):
+        if math.isnan(value) or words - kind.words or len(words) > 1:
+            expected = "a number"
+            if kind.words:
+                expected += f" and {' or '.join(sorted(kind.words))}"
+            fault = f"{quoted(text)} found, expected {expected}"
+        elif value <= 0 and (kind.unit in ("t", "speed") or key.startswith("sigma")):
             fault = f"{value:g} found, expected a number above 0"
-        elif self.limited and abs(value) > limit:
-            fault = f"{value:g} found, expected a number up to {limit:g}"
-        elif found.signed and found.words:
+        elif self.limited and abs(value) > kind.limit:
+            fault = f"{value:g} found, expected a number up to {kind.limit:g}"
+        elif quantity.signed and words:
             fault = f"{quoted(text)} has a sign and a word; expected one of them"
         if fault:
             raise self._error(key, fault)
-        return found
+        return quantity
 
     def _value(self, key: str) -> float:
         """A value with the sign of its word."""
-        value, _, words = self.found[key]
+        value, _, words = self.measured[key]
         return -value if words & _NEGATIVE else value
 
     def sizes(self) -> dict[str, float]:
         """Values to compare with those of other rows; of a curl and of
         turns the size."""
         return {
-            key: self._value(key) if key == "rest" else abs(self.found[key].value)
-            for key in self.found.keys() & MEASURED.keys()
+            key: self._value(key) if key == "rest" else abs(self.measured[key].value)
+            for key in self.measured.keys() & MEASURED.keys()
         }
 
     def _has_side(self, key: str) -> bool:
         """Whether a sign or a word says to which side a quantity is counted."""
-        return key in self.found and bool(
-            self.found[key].signed or self.found[key].words
-        )
+        if key not in self.measured:
+            return False
+        quantity = self.measured[key]
+        return quantity.signed or bool(quantity.words)
 
     def _sigma(self, name: str) -> float:
-        for key in (f"sigma_{name}", *(["sigma_rest"] if name == "curl" else [])):
-            if key in self.found:
-                return self.found[key].value
+        """Standard deviation of a measurement; that of the rest is also that of a curl,
+        since both are measured with one tape."""
+        keys = [f"sigma_{name}"]
+        if name == "curl":
+            keys.append("sigma_rest")
+        for key in keys:
+            if key in self.measured:
+                return self.measured[key].value
         return _SIGMAS[name]
 
     def events(self) -> list[Event]:
         """The measured events."""
-        found = []
+        events = []
         for key, kind in MEASURED.items():
-            if key in self.found:
-                name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
-                at, since = (
-                    LINES[line] if line else None for line in (kind.at, kind.since)
-                )
-                found.append(
-                    Event(
-                        key, quantity, self._oriented(key), self._sigma(name), at, since
-                    )
-                )
-        return found
+            if key not in self.measured:
+                continue
+            is_time = key in TIMES
+            event = Event(
+                name=key,
+                quantity="time" if is_time else kind.unit,
+                value=self._oriented(key),
+                sigma=self._sigma("time" if is_time else key),
+                at=LINES[kind.at] if kind.at else None,
+                since=LINES[kind.since] if kind.since else None,
+            )
+            events.append(event)
+        return events
 
     def _oriented(self, key: str) -> float:
         """A value in SI: y from the hack, x to the right, angles counter-clockwise."""
         value = self._value(key)
         if key == "rest":
             return LINES["far-tee"] + value
-        if key not in _TOLD_BY or (
-            key == "curl" and (self._has_side(key) or not value)
-        ):
+        if key not in _TOLD_BY:
+            return value
+        if key == "curl" and (self._has_side(key) or not value):
             return value
         told_by, expected = _TOLD_BY[key]
         sense = self._sense(*told_by)
         if not sense and value:
             raise self._error(key, expected)
-        return (-sense if key == "curl" else sense) * abs(value)
+        if key == "curl":
+            return -sense * abs(value)
+        return sense * abs(value)
 
     def _handle(self) -> int:
         """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0
@@ -234,21 +257,21 @@ class Record:
         The in-turn of a right-hander turns clockwise, as does the out-turn of
         a left-hander.
         """
-        if "handle" not in self.found:
+        if "handle" not in self.measured:
             return 0
-        words = self.found["handle"].words
+        words = self.measured["handle"].words
         if words & _SENSES:
             return -1 if "clockwise" in words else 1
         turn = words & {"in-turn", "out-turn"}
         hand = words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
-        sides = [
+        has_side = [
             self._has_side(key)
             for key in ("curl", "turns", "spin")
-            if key in self.found
+            if key in self.measured
         ]
-        if len(turn) == 1 and not hand and (any(sides) or not sides):
+        if len(turn) == 1 and not hand and (any(has_side) or not has_side):
             return 0  # a label: the sense is given otherwise, or nothing needs it
         raise self._error(
             "handle",
@@ -262,32 +285,37 @@ class Record:
         does. A stone curls to the side to which its front turns: to the left
         if counter-clockwise."""
         for key in keys:
-            value = self._value(key) if self._has_side(key) else 0.0
-            found = self._handle() if key == "handle" else (value > 0) - (value < 0)
-            if found:
-                return -found if key == "curl" else found
+            if key == "handle":
+                sense = self._handle()
+            elif self._has_side(key):
+                value = self._value(key)
+                sense = (value > 0) - (value < 0)
+            else:
+                continue
+            if sense:
+                return -sense if key == "curl" else sense
         return 0
 
     def spin(self) -> tuple[float, list[Finding]]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and
         notes on it."""
-        measured = []
-        if "turns" in self.found:
-            measured.append(Finding.note("turns-from-the-hog-line"))
-        if "spin" in self.found:
-            measured.append(Finding.note("spin-at-the-hog-line"))
-        if measured:
-            return 0.0, measured
+        notes = []
+        if "turns" in self.measured:
+            notes.append(Finding.note("turns-from-the-hog-line"))
+        if "spin" in self.measured:
+            notes.append(Finding.note("spin-at-the-hog-line"))
+        if notes:
+            return 0.0, notes
         by_handle = self._sense("handle")
         sense = by_handle or self._sense("curl")
         if not sense:
             return 0.0, [Finding.note("spin-not-measured")]
-        held = Finding.note(
+        fixed = Finding.note(
             "spin-by-the-handle" if by_handle else "spin-by-the-curl",
             spin=USUAL_SPIN,
             sense="counter-clockwise" if sense > 0 else "clockwise",
         )
-        return sense * USUAL_SPIN, [held]
+        return sense * USUAL_SPIN, [fixed]
 
     def fault_alone(self) -> str:
         """Why the record determines no friction by itself; empty if it does.
@@ -296,14 +324,14 @@ class Record:
         ------
         DataError : the record is impossible.
         """
-        times = [key for key in MEASURED if key in ALONG and key in self.found]
+        times = [key for key in MEASURED if key in ALONG and key in self.measured]
         if not times:
             return f"no time; {EXPECTED}"
-        if len(times) == 1 and "rest" not in self.found:
+        if len(times) == 1 and "rest" not in self.measured:
             keys = [
                 key
                 for key in ("hog_to_hog", "rest", "hog_to_rest")
-                if key not in self.found
+                if key not in self.measured
             ]
             more = ", ".join([*keys[:2], "or another time"])
             what = "the mean speed" if times[0] in TIMES else "speed"
@@ -311,22 +339,24 @@ class Record:
                 f"{times[0]} alone gives {what} and no friction; expected one more of "
                 f"{more}"
             )
-        hog, to_tee = (
-            self.found[key].value if key in self.found else default
-            for key, default in (("hog_to_hog", 0.0), ("hog_to_tee", math.inf))
-        )
-        if to_tee <= hog:
-            raise self._error(
-                "hog_to_tee",
-                f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: "
-                "the tee line lies behind the far hog line",
-            )
-        lines = (
-            (line, key) for key in times for line in (KINDS[key].at, KINDS[key].since)
-        )
-        farthest, by = max((LINES[line], key) for line, key in lines if line)
+        if {"hog_to_hog", "hog_to_tee"} <= self.measured.keys():
+            to_hog = self.measured["hog_to_hog"].value
+            to_tee = self.measured["hog_to_tee"].value
+            if to_tee <= to_hog:
+                raise self._error(
+                    "hog_to_tee",
+                    f"{to_tee:g} s found, expected more than hog_to_hog = {to_hog:g} "
+                    "s: the tee line lies behind the far hog line",
+                )
+        crossed = [
+            (LINES[line], key)
+            for key in times
+            for line in (KINDS[key].at, KINDS[key].since)
+            if line
+        ]
+        farthest, by = max(crossed)
         past = farthest - LINES["far-tee"]
-        if "rest" in self.found and self._value("rest") <= past:
+        if "rest" in self.measured and self._value("rest") <= past:
             raise self._error(
                 "rest",
                 f"{self._value('rest'):.3g} m past the far tee lies before a line "

@@ -199,12 +199,12 @@ def _as_floats(array: NDArray[Any], fault: Fault, expected: str) -> Floats:
         return np.asarray(array, float)
     if kind in _NAMES_OF_KINDS:
         raise fault(f"{_NAMES_OF_KINDS[kind]} found, expected {expected}")
-    found = array.tolist()
-    read = [math.nan if _is_gap(value) else _number(value) for value in found]
-    if None in read:
-        row = read.index(None)
-        raise fault(f"row {row}: {_shown(found[row])} found, expected {expected}")
-    return np.array(read, float)
+    values = array.tolist()
+    floats = [math.nan if _is_gap(value) else _number(value) for value in values]
+    if None in floats:
+        row = floats.index(None)
+        raise fault(f"row {row}: {_shown(values[row])} found, expected {expected}")
+    return np.array(floats, float)
 
 
 def _number(value: Any) -> float | None:

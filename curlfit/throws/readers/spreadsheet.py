@@ -83,12 +83,13 @@ def text_of_sheet(
     exact = any(clock.second or clock.microsecond for clock in clocks)
     lines = StringIO()
     write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
+    clock_format = "%H:%M:%S.%f" if exact else "%H:%M"
     for row in rows:
-        found = [_shown(cell, "%H:%M:%S.%f" if exact else "%H:%M") for cell in row]
-        if found[0].startswith("#") or not any(found):
-            lines.write(" ".join(filter(None, found)) + "\n")
+        texts = [_shown(cell, clock_format) for cell in row]
+        if texts[0].startswith("#") or not any(texts):
+            lines.write(" ".join(filter(None, texts)) + "\n")
         else:
-            write(found)
+            write(texts)
     if len(names) == 1:
         return lines.getvalue(), None
     several = Finding.note(
@@ -115,6 +116,7 @@ def _plain(cell: Any) -> Any:
 
 
 def _shown(cell: Any, clock: str) -> str:
+    """The text of a cell; times of the day have the format `clock`."""
     if isinstance(cell, time | datetime):
         return cell.strftime(clock if isinstance(cell, time) else f"%Y-%m-%d {clock}")
     if isinstance(cell, date):

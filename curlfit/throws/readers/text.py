@@ -19,10 +19,10 @@ EXPECTED = (
 )
 # first bytes; of other archives too
 _SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-_MOST_BYTES, _MOST_OF_SETTINGS = 50_000_000, 64_000
-# Characters of a comment, a header or a setting; of a row; a line of JSON may
-# have any number.
-_MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
+_MOST_BYTES = 50_000_000
+_MOST_BYTES_OF_SETTINGS = 64_000
+_MOST_IN_HEAD = 1000  # characters of a comment, a header or a setting
+_MOST_IN_ROW = 20_000  # characters; a line of JSON may have any number
 _MOST_LINES = 2_000_000
 _of_pipes: dict[tuple[int, int], bytes] = {}  # contents by device and inode
 _MINUS = "\u2212"  # of typography
@@ -43,11 +43,11 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
     except OSError as error:
-        said = {
-            FileNotFoundError: "no such file",
-            IsADirectoryError: "this is a folder, expected a file",
-        }
-        fault = said.get(type(error), f"cannot be read ({error.strerror})")
+        fault = f"cannot be read ({error.strerror})"
+        if isinstance(error, FileNotFoundError):
+            fault = "no such file"
+        elif isinstance(error, IsADirectoryError):
+            fault = "this is a folder, expected a file"
         raise DataError(fault, file=path) from None
     if len(raw) > most:
         raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
@@ -71,11 +71,8 @@ def decoded(raw: bytes) -> str:
 def _old_encoding(raw: bytes) -> str:
     """The encoding of a file that is not in Unicode: that of Windows in Japan or
     in the West."""
-    return (
-        "cp932"
-        if has_japanese_words(raw[:_MOST_IN_ROW].decode("cp932", "replace"))
-        else "cp1252"
-    )
+    begin = raw[:_MOST_IN_ROW].decode("cp932", "replace")
+    return "cp932" if has_japanese_words(begin) else "cp1252"
 
 
 class TextFile(NamedTuple):
@@ -103,8 +100,10 @@ class TextFile(NamedTuple):
         DataError : no such file, a folder, not readable, too large, not text, or a line
             is too long. InputError : no such worksheet.
         """
-        kind = ("settings", _MOST_OF_SETTINGS) if settings else ("throws", _MOST_BYTES)
-        raw = _bytes_of(path, *kind)
+        if settings:
+            raw = _bytes_of(path, "settings", _MOST_BYTES_OF_SETTINGS)
+        else:
+            raw = _bytes_of(path, "throws", _MOST_BYTES)
         note = None
         if raw.startswith(_SPREADSHEETS):
             text, note = text_of_sheet(raw, path, _MOST_BYTES, worksheet)

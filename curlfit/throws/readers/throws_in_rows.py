@@ -113,31 +113,33 @@ def _by_column(
 def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     """Rows of each throw if the times start again, or if they run on while the stone is
     back at the start; empty if there is one throw."""
-    series = {s.column.quantity: s.values for s in parsed.series}
-    if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
+    values = {series.column.quantity: series.values for series in parsed.series}
+    if "t" not in values:
+        return {}
+    times = values["t"]
+    if len(times) < 2 * _FEWEST:
         return {}
     again = np.flatnonzero(np.diff(times) < 0) + 1
     if len(again) == 1 and _one_time_is_odd(times, int(again[0])):
         return {}
-    begins = again if len(again) else _returns(series)
+    begins = again if len(again) else _returns(values)
     if not len(begins):
         return {}
     pieces = np.split(np.arange(len(times)), begins)
     if min(map(len, pieces)) < _FEWEST:
         return {}
-    # Each begins within the first fifth of the previous one, unlike rows merely
-    # out of order.
-    for before, after in pairwise(pieces) if len(again) else ():
-        began, ended = times[before[0]], times[before[-1]]
-        if not times[after[0]] < began + 0.2 * (ended - began):
-            return {}
+    if len(again):
+        # Each begins within the first fifth of the previous one, unlike rows merely
+        # out of order.
+        for earlier, later in pairwise(pieces):
+            began = times[earlier[0]]
+            ended = times[earlier[-1]]
+            if not times[later[0]] < began + 0.2 * (ended - began):
+                return {}
     lines = parsed.lines
-    return {
-        f"from row {rows[0] + 1}"
-        if lines is None
-        else f"from line {lines[rows[0]]}": rows
-        for rows in pieces
-    }
+    if lines is None:
+        return {f"from row {rows[0] + 1}": rows for rows in pieces}
+    return {f"from line {lines[rows[0]]}": rows for rows in pieces}
 
 
 def _one_time_is_odd(times: np.ndarray, again: int) -> bool:

@@ -67,58 +67,84 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     of_file.settings.pop("columns", None)
     rows = _throws_in(file, reading)
     of_file.settings.setdefault("law", _usual_law(rows))
-    several = len(rows) > 1
-    odd_rows = _odd_rows(file, rows, keep) if several else ()
-    without_time = [
-        index for index, row in enumerate(rows) if not row.entries.keys() & ALONG
-    ]
-    left_out = []
-    if several and without_time:
-        lines = [rows[index].line for index in without_time]
-        left_out.append(Finding.note("rows-without-a-time", lines=lines))
+    if len(rows) == 1:
+        return Contents(
+            [f"line {rows[0].line}"],
+            lambda _: _read_row(file, rows[0], of_file.copy(), keep),
+        )
+    odd_rows = _odd_rows(file, rows, keep)
     odd_row_at = {odd.row - 1: odd for odd in odd_rows}
+    without_time = [index for index, row in enumerate(rows) if not _has_time(row)]
+    notes = []
+    if without_time:
+        lines = [rows[index].line for index in without_time]
+        notes.append(Finding.note("rows-without-a-time", lines=lines))
 
     def parse(index: int) -> ParsedFile:
-        row = rows[index]
         parsed = of_file.copy()
-        if several:
-            parsed.source = f"{file.path} row {index + 1}"
-        record = Record(file, row, limited=row.line not in keep)
-        parsed.events = record.events()
-        parsed.labels = row.labels
+        parsed.source = f"{file.path} row {index + 1}"
         parsed.odd_rows = odd_rows
-        if fault := record.fault_alone():
-            unread = [str(replace(note, remedies=())) for note in row.notes]
-            fault = "; ".join([fault, *unread])
-            parsed.alone = file.error(fault, row.line - 1 if several else None)
-            if not several or not row.entries.keys() & ALONG:
-                raise parsed.alone
-        spin, notes_on_spin = record.spin()
-        parsed.assumed = {"omega0": spin}
-        crossed = {y for event in parsed.events for y in (event.at, event.since)}
-        lines = [
-            {"line": name.replace("far-", "far "), "y": y}
-            for name, y in LINES.items()
-            if y in crossed
-        ]
-        from_the_hack = Finding.note(
-            "y-from-the-hack", lines=lines, far_tee=LINES["far-tee"]
-        )
-        parsed.notes += [from_the_hack, *notes_on_spin, *row.notes, *left_out]
+        parsed = _read_row(file, rows[index], parsed, keep, of_table=True)
+        parsed.notes += notes
         if index in odd_row_at:
             parsed.notes.append(odd_row_at[index].finding)
         return parsed
 
+    left_out = {odd.row - 1 for odd in odd_rows if odd.left_out}
     return Contents(
         [f"line {row.line}" for row in rows],
         parse,
-        left_out={
-            *(odd.row - 1 for odd in odd_rows if odd.left_out),
-            *(without_time if several else ()),
-        },
+        left_out=left_out.union(without_time),
         odd_rows=odd_rows,
         note=_of_taken_row,
     )
+
+
+def _has_time(row: Row) -> bool:
+    """Whether a row has a measurement of the motion along the sheet."""
+    return bool(row.entries.keys() & ALONG)
+
+
+def _read_row(
+    file: TextFile,
+    row: Row,
+    parsed: ParsedFile,
+    keep: Collection[int],
+    *,
+    of_table: bool = False,
+) -> ParsedFile:
+    """The throw of a row.
+
+    Parameters
+    ----------
+    parsed : what the file says of all its throws; what the row says is added to it.
+    keep : lines whose values may be larger than usual.
+    of_table : whether the file has other rows, with which a throw may be fitted that
+        determines no friction by itself.
+    """
+    record = Record(file, row, limited=row.line not in keep)
+    parsed.events = record.events()
+    parsed.labels = row.labels
+    fault = record.fault_alone()
+    if fault:
+        notes_on_row = [str(replace(note, remedies=())) for note in row.notes]
+        fault = "; ".join([fault, *notes_on_row])
+        parsed.alone = file.error(fault, row.line - 1 if of_table else None)
+        if not (of_table and _has_time(row)):
+            raise parsed.alone
+    spin, notes_on_spin = record.spin()
+    parsed.assumed = {"omega0": spin}
+    crossed = {y for event in parsed.events for y in (event.at, event.since)}
+    lines = [
+        {"line": name.replace("far-", "far "), "y": y}
+        for name, y in LINES.items()
+        if y in crossed
+    ]
+    from_the_hack = Finding.note(
+        "y-from-the-hack", lines=lines, far_tee=LINES["far-tee"]
+    )
+    parsed.notes += [from_the_hack, *notes_on_spin, *row.notes]
+    return parsed
 
 
 def _of_taken_row(count: int, taken: int) -> Finding:
@@ -138,20 +164,23 @@ def _odd_rows(
             for key, size in Record(file, row, limited=False).sizes().items():
                 empty_column = np.full(len(rows), np.nan)
                 columns.setdefault(key, empty_column)[index] = size
-    odd: dict[int, OddValue] = {}
+    odd_by_row: dict[int, OddValue] = {}
     for key, values in columns.items():
-        for place in np.flatnonzero(np.abs(values) > KINDS[key].limit).tolist():
-            odd.setdefault(place, OddValue(place, key, values[place], np.nan, 0.0))
-            values[place] = np.nan
+        for index in np.flatnonzero(np.abs(values) > KINDS[key].limit).tolist():
+            impossible = OddValue(index, key, values[index], np.nan, 0.0)
+            odd_by_row.setdefault(index, impossible)
+            values[index] = np.nan
     floors = {key: usual_sigma(key) / 2 for key in columns}
     usual = {key: KINDS[key].usual for key in columns}
     for value in odd_values(columns, floors, usual, [row.labels for row in rows]):
-        odd.setdefault(value.row, value)
-    odd = {place: value for place, value in odd.items() if rows[place].line not in keep}
+        odd_by_row.setdefault(value.row, value)
+    odd = [
+        odd_by_row[index]
+        for index in sorted(odd_by_row)
+        if rows[index].line not in keep
+    ]
     left_out = len(odd) <= len(rows) / 5
-    return tuple(
-        _odd_row(file, rows[place].line, odd[place], left_out) for place in sorted(odd)
-    )
+    return tuple(_odd_row(file, rows[value.row].line, value, left_out) for value in odd)
 
 
 def _odd_row(file: TextFile, line: int, odd: OddValue, left_out: bool) -> OddRow:
@@ -180,19 +209,21 @@ def _recognizes(head: list[str]) -> bool:
         if not _LETTER.search(line):
             continue  # numbers alone
         headings = headings_in(line)
-        if is_header(headings):
-            known = {Heading.of(heading).quantity for heading in headings}
-            columns = [column for name in headings if (column := parse_header(name))]
-            timed = any(column.base == "t" for column in columns)
-            path = "speed" not in known or timed
-            return bool(known & TIMES.keys()) or (
-                bool(known & {"curl", "rest"}) and not path
-            )
+        if not is_header(headings):
+            continue
+        quantities = {Heading.of(heading).quantity for heading in headings}
+        if quantities & TIMES.keys():
+            return True
+        if "speed" not in quantities or not quantities & {"curl", "rest"}:
+            return False
+        # With a column of times, the speed is that of a path.
+        columns = map(parse_header, headings)
+        return all(column is None or column.base != "t" for column in columns)
     pairs = [pair for pair in map(_pair, head) if pair is not None]
+    if any(key in TIMES for key, _, _ in pairs):
+        return True
     # The header of a table may begin with such a name too, but has no digits.
-    return any(key in TIMES for key, _, _ in pairs) or (
-        _pair(head[0]) is not None and any(map(str.isdigit, pairs[0][2]))
-    )
+    return _pair(head[0]) is not None and any(map(str.isdigit, pairs[0][2]))
 
 
 TIMINGS = Format(
@@ -229,13 +260,13 @@ def _throws_in(file: TextFile, reading: Reading) -> list[Row]:
     headings = (headings_in(line) for line in head)
     if named or any(map(is_header, headings)):
         return throws_of_table(Table.find(file, knows), named, units)
-    body = [
-        (index, text)
-        for index, line in enumerate(file.lines)
-        if (text := line.split("#", 1)[0].strip(" ")).strip()
-        and not text.startswith("[")
-    ]
-    return [Row(body[0][0] + 1 if body else 0, _entries(file, body, units), {}, [])]
+    body = []
+    for index, line in enumerate(file.lines):
+        text = line.split("#", 1)[0].strip(" ")
+        if text.strip() and not text.startswith("["):
+            body.append((index, text.strip()))
+    first_line = body[0][0] + 1 if body else 0
+    return [Row(first_line, _entries(file, body, units), {}, [])]
 
 
 def _entries(
@@ -243,8 +274,7 @@ def _entries(
 ) -> dict[str, Entry]:
     """The quantities of a record, by name; `units` are those that the user gives."""
     entries: dict[str, Entry] = {}
-    for index, line in body:
-        text = line.strip()
+    for index, text in body:
         pair = _pair(text)
         if pair is None:
             if not entries and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
@@ -270,20 +300,20 @@ def _usual_law(rows: list[Row]) -> str:
     with a force that turns it where the curl was measured."""
     if len(rows) < _MANY:
         return _law_of_draws(rows)
-    return "power+deflection" if _told({"curl"}, rows) else "power"
+    return "power+deflection" if _usually_have({"curl"}, rows) else "power"
 
 
 def _law_of_draws(rows: list[Row]) -> str:
     """The law of draws one by one: the curl needs one that curls and slows the spin as
     stones do, and of a single throw the turns too; times and positions along the sheet
     determine a mean friction."""
-    curls = _told({"curl"}, rows)
+    curls = _usually_have({"curl"}, rows)
     if len(rows) < _MANY:
-        curls = curls and _told({"turns", "spin"}, rows)
+        curls = curls and _usually_have({"turns", "spin"}, rows)
     return "front-back" if curls else "coulomb"
 
 
-def _told(keys: set[str], rows: list[Row]) -> bool:
+def _usually_have(keys: set[str], rows: list[Row]) -> bool:
     """Whether half of the rows or more have one of some quantities."""
     count = sum(bool(keys & row.entries.keys()) for row in rows)
     return 2 * count >= len(rows) > 0

@@ -22,14 +22,17 @@ _SMALLEST_JUMP = 0.25 * (TURN / 2)
 _PACE_ROWS = 9
 """Steps whose median is the pace of the turning between two rows."""
 _PACE_TIME = 1.0
+"""s, at an end of a piece, whose rows tell the pace there by a straight line."""
 _LEAST_TIME = 0.3
+"""s; a shorter piece tells no pace."""
 _FEWEST_OF_PACE = 3
-"""s, s and rows; a straight line through the rows within the first, of a piece not
-shorter than the others, tells the pace at its end."""
+"""Rows; a piece of fewer tells no pace."""
 _SCATTERS = 5.0
 """Robust standard deviations of the steps that a step may be off."""
-_LEAST_OFF, _MOST_OFF = 0.05, 0.25
-"""Of a period: limits of that tolerance."""
+_LEAST_OFF = 0.05
+"""Of a period: the least of that tolerance."""
+_MOST_OFF = 0.25
+"""Of a period: the most of that tolerance."""
 _PACE_ERROR = 0.25
 """Relative error of a rotation that only the pace on both sides of a gap tells."""
 _AMBIGUOUS = 0.4
@@ -143,7 +146,8 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> Unwrapped:
     """
     measured = np.flatnonzero(np.isfinite(phi))
     unchanged = Unwrapped(phi, 0, TURN, np.zeros(len(phi), bool))
-    time, angle = t[measured], phi[measured]
+    time = t[measured]
+    angle = phi[measured]
     if len(measured) < 3 or np.abs(np.diff(angle)).max() < _SMALLEST_JUMP:
         return unchanged
     period, wrapped = period_of(time, angle)
@@ -151,9 +155,9 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> Unwrapped:
         return unchanged
     turned = None if omega is None else _integrated_spin(t, omega, time)
     if turned is not None:
-        off = np.diff(angle - turned)
-        rest = np.abs(off - period * np.round(off / period))
-        if np.median(rest) > 0.25 * period:
+        unexplained = np.diff(angle - turned)
+        unexplained -= period * np.round(unexplained / period)
+        if np.median(np.abs(unexplained)) > 0.25 * period:
             turned = None  # the spin has another sign or clock
     course = _course(time, angle, period, wrapped, turned)
     lost = ~course.on_course
@@ -201,16 +205,15 @@ def period_of(time: Floats, angle: Floats) -> tuple[float, bool]:
 
 def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
     """Rotation up to the times, from the spin; None if it is not known throughout."""
-    known = np.isfinite(omega)
-    if (
-        known.sum() < 2
-        or t[known][0] > time[0] + 1e-9
-        or t[known][-1] < time[-1] - 1e-9
-    ):
+    measured = np.isfinite(omega)
+    if measured.sum() < 2:
         return None
-    at, rate = t[known], omega[known]
-    steps = np.diff(at) * (rate[1:] + rate[:-1]) / 2
-    return np.interp(time, at, np.append(0.0, np.cumsum(steps)))
+    t = t[measured]
+    omega = omega[measured]
+    if t[0] > time[0] + 1e-9 or t[-1] < time[-1] - 1e-9:
+        return None
+    steps = np.diff(t) * (omega[1:] + omega[:-1]) / 2
+    return np.interp(time, t, np.append(0.0, np.cumsum(steps)))
 
 
 def _require_slow(
@@ -251,8 +254,8 @@ def _course(
         return _Course(whole, np.ones(len(angle), bool), nearest, [])
     middle = (time[1:] + time[:-1]) / 2
     paces = (nearest / dt)[usual]
-    paces = running_median(paces, min(_PACE_ROWS, len(paces) // 3) // 2 * 2 + 1)
-    pace = np.interp(middle, middle[usual], paces)
+    odd_width = min(_PACE_ROWS, len(paces) // 3) // 2 * 2 + 1
+    pace = np.interp(middle, middle[usual], running_median(paces, odd_width))
     rotation = pace * dt if turned is None else np.diff(turned)
     slow = np.abs(rotation) <= _AMBIGUOUS * period
     # A stone that is held, or has come to rest, turns less than its neighbours do.
@@ -278,28 +281,30 @@ def _course(
         shift -= link.jump
         course[rows] = angle[rows] + shift
     on_course = np.isfinite(course)
-    known = np.flatnonzero(on_course)
+    in_chain = np.flatnonzero(on_course)
     if wrapped:
-        expected = np.interp(time, time[known], course[known])
-        other = angle + period * np.round((expected - angle) / period)
+        expected = np.interp(time, time[in_chain], course[in_chain])
+        beside = angle + period * np.round((expected - angle) / period)
     else:
-        # as the rows of the course about it, the one that is moved less
-        shifts = (course - angle)[known]
-        behind = np.searchsorted(known, np.arange(len(angle)))
-        later = shifts[np.minimum(behind, len(known) - 1)]
-        earlier = shifts[np.maximum(behind - 1, 0)]
-        other = angle + np.where(np.abs(earlier) < np.abs(later), earlier, later)
-    return _Course(np.where(on_course, course, other), on_course, rotation, chain[1:])
+        # A row beside the chain is shifted as the row of the chain before it or after
+        # it, whichever is shifted less.
+        shifts = (course - angle)[in_chain]
+        place = np.searchsorted(in_chain, np.arange(len(angle)))
+        later = shifts[np.minimum(place, len(in_chain) - 1)]
+        earlier = shifts[np.maximum(place - 1, 0)]
+        beside = angle + np.where(np.abs(earlier) < np.abs(later), earlier, later)
+    return _Course(np.where(on_course, course, beside), on_course, rotation, chain[1:])
 
 
 def _beyond(
-    step: Floats, one: Floats, other: Floats, period: float
+    step: Floats, rotation: Floats, other_rotation: Floats, period: float
 ) -> tuple[Floats, Floats]:
-    """The whole periods in a step of the angle, and how far the rest is from the
-    rotations between one and another; all in rad."""
-    middle = (one + other) / 2
+    """The whole periods in steps of an angle, and how far the rest of each step is
+    outside the range between two rotations; all in rad."""
+    middle = (rotation + other_rotation) / 2
     jump = period * np.round((step - middle) / period)
-    return jump, np.abs(step - jump - middle) - np.abs(other - one) / 2
+    off = np.abs(step - jump - middle) - np.abs(other_rotation - rotation) / 2
+    return jump, off
 
 
 def _begins_or_ends_standing(step: Floats) -> Booleans:
@@ -337,8 +342,8 @@ def _slope(time: Floats, angle: Floats) -> float:
         return 0.0
     if len(time) < _FEWEST_OF_PACE or np.ptp(time) < _LEAST_TIME:
         return np.nan
-    at = time - time.mean()
-    return float(at @ angle / (at @ at))
+    centred = time - time.mean()
+    return float(centred @ angle / (centred @ centred))
 
 
 def _longest_chain(
@@ -368,19 +373,23 @@ def _longest_chain(
     links = [_Link(pieces[0], 0.0, 0.0)]
     for k in range(1, len(pieces)):
         before = slice(max(0, k - _PIECES_BEFORE), k)
-        gap = time[first[k]] - time[last[before]]
+        row = first[k]
         if turned is None:
-            paces = np.where(
-                np.isnan(last_pace[before]), first_pace[k], last_pace[before]
-            )
-            paces = np.where(np.isnan(paces), pace[first[k] - 1], paces)
-            one = gap * paces
-            other = one if np.isnan(first_pace[k]) else gap * first_pace[k]
+            # The stone goes on as before the gap, or turns as it will after it.
+            gap = time[row] - time[last[before]]
+            paces = last_pace[before]
+            paces = np.where(np.isnan(paces), first_pace[k], paces)
+            paces = np.where(np.isnan(paces), pace[row - 1], paces)
+            going_on = gap * paces
+            as_after = going_on
+            if not np.isnan(first_pace[k]):
+                as_after = gap * first_pace[k]
         else:
-            one = other = turned[first[k]] - turned[last[before]]
-        rotation = (one + other) / 2
-        step = angle[first[k]] - angle[last[before]]
-        jump, off = _beyond(step, one, other, period)
+            going_on = turned[row] - turned[last[before]]
+            as_after = going_on
+        rotation = (going_on + as_after) / 2
+        step = angle[row] - angle[last[before]]
+        jump, off = _beyond(step, going_on, as_after, period)
         error = _PACE_ERROR * np.abs(rotation)
         follows = off <= np.minimum(tolerance + error, _AMBIGUOUS * period)
         if unknown_turns:
@@ -389,8 +398,9 @@ def _longest_chain(
             follows |= unknown
         links.append(_Link(pieces[k], 0.0, 0.0))
         if follows.any():
-            lengths = np.where(follows, length[before], 0)[::-1]
-            best = len(lengths) - 1 - int(np.argmax(lengths))  # the nearest of equals
+            lengths = np.where(follows, length[before], 0)
+            # of equal ones the last, which is the nearest
+            best = len(lengths) - 1 - int(np.argmax(lengths[::-1]))
             behind[k] = before.start + best
             length[k] += length[before][best]
             links[k] = _Link(pieces[k], float(rotation[best]), float(jump[best]))
