@@ -602,7 +602,7 @@ def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
         ),
         (
             {"call": curlfit.Call(thrower=(0.15, 0.1))},
-            "thrower-sd: the fit of one throw predicts a stone that is released as it",
+            "thrower-sd`: the fit of one throw predicts a stone that is released as",
         ),
         ({"check": 20.0}, "no rows after t = 20 s"),
         ({"check": 25.0}, "not the throw that was fitted"),
