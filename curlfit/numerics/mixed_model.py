@@ -324,22 +324,29 @@ class MixedFit:
         between = directions * self.variances @ directions.T
         return mean[..., 0], to @ np.linalg.inv(normal) @ to.mT + between
 
-    def following(self, matrix: Any) -> Floats:
-        """By how much the estimate follows the numbers that are cut, shape
-        (..., numbers, cut), from its covariances without the cut."""
-        which = np.flatnonzero(self.cut)
-        columns = matrix[..., which]
-        followed: Floats = columns @ np.linalg.inv(columns[..., which, :])
-        return followed
-
     def _with_cut(self, matrix: Any) -> Any:
         """Covariances of the estimate in which what is cut has its own variance."""
-        if not self.cut.any():
-            return matrix
         which = np.flatnonzero(self.cut)
-        followed = self.following(matrix)
-        more = np.diag(self.cut[which]) - matrix[..., which[:, None], which]
-        return matrix + followed @ more @ followed.mT
+        if not len(which):
+            return matrix
+        return matrix + added_by_cut(matrix, which, self.cut[which])
+
+
+def following(matrix: Any, which: Any) -> Floats:
+    """By how much numbers with some covariance follow some of them, by index, shape
+    (..., numbers, which)."""
+    columns = matrix[..., which]
+    followed: Floats = columns @ np.linalg.inv(columns[..., which, :])
+    return followed
+
+
+def added_by_cut(matrix: Any, which: Any, variances: Floats) -> Floats:
+    """What a covariance lacks where some of its numbers, by index, have other variances
+    of their own, and all others follow them."""
+    followed = following(matrix, which)
+    more = np.diag(variances) - matrix[..., which[:, None], which]
+    added: Floats = followed @ more @ followed.mT
+    return added
 
 
 def _sides(to: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:

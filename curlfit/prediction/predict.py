@@ -56,9 +56,8 @@ from curlfit.throws.throw import CHANNELS, Throw
 
 _FEWEST_DRAWS = 100  # that can be asked for
 _ROUNDS = 200  # of draws, until enough are within the bounds
-_FEW_INDEPENDENT = (
-    100  # independent draws, below which the ends of a 95 % band are rough
-)
+_FEW_INDEPENDENT = 100
+"""Independent draws, below which the ends of a 95 % band are rough."""
 
 
 def predict(

@@ -29,6 +29,7 @@ from curlfit.friction.sums import Sum
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.priors import Normal
+from curlfit.numerics.mixed_model import added_by_cut
 from curlfit.settings.choices import Fitting
 from curlfit.throws.throw import Throw
 
@@ -87,12 +88,9 @@ def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
     names = [name for name in untold if name in covariance.names]
     if not names:
         return fit
-    places = [covariance.names.index(name) for name in names]
-    columns = covariance.matrix[:, places]
-    held = covariance.among(names)
-    variances = np.diag([untold[name].sd ** 2 for name in names])
-    followed = columns @ np.linalg.inv(held)
-    added = followed @ (variances - held) @ followed.T
+    which = np.array([covariance.names.index(name) for name in names])
+    variances = np.array([untold[name].sd ** 2 for name in names])
+    added = added_by_cut(covariance.matrix, which, variances)
     parameters = dict(fit.parameters)
     for name, variance in zip(covariance.names, np.diagonal(added), strict=True):
         estimate = parameters[name]
@@ -103,8 +101,9 @@ def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
         parameters[name] = replace(parameters[name], verdict=Verdict.PRIOR)
     information = fit.information
     squares = information.matrix.copy()
-    rows = np.ix_(*[[information.names.index(name) for name in names]] * 2)
-    squares[rows] += np.linalg.inv(variances) - np.linalg.inv(held)
+    rows = [information.names.index(name) for name in names]
+    held = covariance.among(names)
+    squares[np.ix_(rows, rows)] += np.diag(1 / variances) - np.linalg.inv(held)
     return replace(
         fit,
         parameters=parameters,

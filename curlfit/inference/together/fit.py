@@ -305,11 +305,6 @@ def _equal(
 
     differing = {name: item for name, item in variations.items() if item.significant}
     named = {*shared, *(item.expression for item in combinations)}
-    shifts = {
-        name: by_condition
-        for name, by_condition in first.systematics.shifts.items()
-        if name in named
-    }
     result = JointResult(
         law=first.law,
         load=first.load,
@@ -325,7 +320,7 @@ def _equal(
         ),
         identifiability=_determined_together(throws, marginal),
         variation=tuple(variations.values()),
-        systematics=replace(first.systematics, shifts=shifts),
+        systematics=_about(first.systematics, named),
     )
     return _Equal(with_throws(result, throws, solution), varying, ridge)
 
@@ -422,7 +417,9 @@ def _varying(
     throws = [
         replace(
             with_untold(throw, untold),
-            systematics=_without(of_equal.systematics, untold),
+            systematics=_about(
+                of_equal.systematics, of_equal.systematics.shifts.keys() - untold.keys()
+            ),
         )
         for throw, of_equal in zip(
             _summarized(together, solution, others=others),
@@ -445,19 +442,20 @@ def _varying(
         name: replace(estimate, verdict=Verdict.PRIOR) if name in untold else estimate
         for name, estimate in result.coefficients.items()
     }
+    moved = result.systematics.shifts.keys() - untold.keys()
     result = replace(
         result,
         coefficients=coefficients,
-        systematics=_without(result.systematics, untold),
+        systematics=_about(result.systematics, moved),
     )
     return with_throws(result, throws, solution)
 
 
-def _without(systematics: Systematics, names: Collection[str]) -> Systematics:
-    """Systematic errors without those of some parameters, which no condition moves."""
+def _about(systematics: Systematics, names: Collection[str]) -> Systematics:
+    """Systematic errors of some parameters and combinations alone."""
     shifts = {
         name: by_condition
         for name, by_condition in systematics.shifts.items()
-        if name not in names
+        if name in names
     }
     return replace(systematics, shifts=shifts)

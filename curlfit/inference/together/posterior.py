@@ -17,7 +17,7 @@ from curlfit.inference.sampling.ridge import RidgeProposal
 from curlfit.inference.sampling.sampler import ENSEMBLES, Run
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
-from curlfit.numerics.mixed_model import MixedFit, MixedModel
+from curlfit.numerics.mixed_model import MixedFit, MixedModel, following
 
 _WALKERS = 16 * ENSEMBLES
 _EFFECTIVE = 1000  # draws of the spreads, as many as independent ones
@@ -190,11 +190,12 @@ def _estimates(fit: MixedFit, spreads: Floats, random: np.random.Generator) -> F
     mean: Any = np.linalg.solve(normal, right[..., None])
     noise = random.standard_normal(mean.shape)
     estimates: Floats = (mean + np.linalg.solve(root.mT, noise))[..., 0]
-    if fit.cut.any():
-        deviations = np.sqrt(fit.cut[fit.cut > 0])
+    which = np.flatnonzero(fit.cut)
+    if len(which):
+        deviations = np.sqrt(fit.cut[which])
         of_cut = deviations * random.standard_normal((len(spreads), len(deviations)))
-        following = fit.following(np.linalg.inv(normal))
-        estimates += (following @ of_cut[..., None])[..., 0]
+        followed = following(np.linalg.inv(normal), which)
+        estimates += (followed @ of_cut[..., None])[..., 0]
     return estimates
 
 
