@@ -28,7 +28,7 @@ from curlfit.foreign import counted
 from curlfit.friction import Law, find_law
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.together.result import JointResult
 from curlfit.inference.together.season import Season, mean_of
 from curlfit.numerics.arrays import Floats
@@ -101,8 +101,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
             "priors of the batch would count once for each throw", file=file
         )
     coefficients = [coefficient.name for coefficient in law_of_table.coefficients()]
-    names_of_start = [component.name for component in START]
-    names_of_numbers = [*coefficients, *names_of_start, DURATION.name]
+    names_of_numbers = [*coefficients, *START_NAMES, DURATION.name]
     table = Table.find(TextFile.read(file), _is_header)
     index_by_name = table.sole(table.headings)
     for name in (*names_of_numbers, STATUS.name, INFORMATION.name, LABELS.name):

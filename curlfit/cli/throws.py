@@ -358,7 +358,6 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
     from curlfit.friction import find_law
-    from curlfit.inference.model.parameters import START
     from curlfit.inference.model.system import System
     from curlfit.throws.synthetic import law_with
 
@@ -398,8 +397,6 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
         stone=system.stone.with_values(dict(given.stone)),
         load=given.load or fit.load,
         environment=environment,
-        start={
-            parameter.name: fit.parameters[parameter.name].value for parameter in START
-        },
+        start=fit.start,
         until=fit.data.end - begin,
     )

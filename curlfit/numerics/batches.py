@@ -1,4 +1,14 @@
-"""Records of equal shapes: stacked, and computed many at a time."""
+"""Records of equal shapes: stacked, and computed many at a time.
+
+Here it is decided in which sizes programs are made. A stack has a first axis, also that
+of one record, and a program takes one, `FEW` or `BATCH` records of it:
+
+- one, where all that is asked for is one throw: its program has no `vmap`, under which
+  both branches of each condition are computed (four times slower for one throw);
+- `FEW`, where their number is small or not known when the program is made;
+- `BATCH`, where there are more. Only there a faster program is worth a longer
+  compilation.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +33,19 @@ def side_by_side(count: int) -> int:
     """How many of `count` problems are best solved side by side: those of a batch end
     together, and one that is not full costs as much as a full one."""
     return FEW if count <= BATCH else BATCH
+
+
+def is_worth_optimizing(throws: int) -> bool:
+    """Whether a fast program for so many throws is better than one compiled quickly."""
+    return throws > FEW
+
+
+def over_stack(function: Callable[..., Any], *stacks: Any) -> Any:
+    """The results of a traced function of one record for each of a stack."""
+    if len(jax.tree.leaves(stacks)[0]) > 1:
+        return jax.vmap(function)(*stacks)
+    result = function(*at(stacks, 0))
+    return jax.tree.map(lambda leaf: leaf[None], result)
 
 
 def stacked(records: Sequence[Record]) -> Record:

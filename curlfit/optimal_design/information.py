@@ -37,7 +37,7 @@ from curlfit.inference.model.likelihood import linearize, predict_many
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.parameters import (
     BOUNDS_WITHOUT_ANGLE,
-    START,
+    START_NAMES,
     ParameterSet,
 )
 from curlfit.inference.model.problem import LEVEL_AND_STILL, Problem
@@ -287,9 +287,9 @@ class Assumptions:
         needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
         names = self.parameters.names
         return [
-            names.index(parameter.name)
-            for parameter in START
-            if needed.get(parameter.name, set()) <= self.sigma.keys()
+            names.index(name)
+            for name in START_NAMES
+            if needed.get(name, set()) <= self.sigma.keys()
         ]
 
 
@@ -429,7 +429,7 @@ def vectors_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
     """Parameter vectors of throws from the origin, shape (throws, parameters)."""
     vectors = []
     for throw in throws:
-        start = [getattr(throw, parameter.name, 0.0) for parameter in START]
+        start = [getattr(throw, name, 0.0) for name in START_NAMES]
         vectors.append([*assumed.values, *start])
     return np.array(vectors)
 

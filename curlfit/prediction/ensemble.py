@@ -11,7 +11,7 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_INDEX, before_start
 from curlfit.inference.model.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.model.system import motions, prepare_motions
 from curlfit.inference.together.draw import Draw
@@ -224,11 +224,6 @@ class ThrowFamily:
         fit = throw.fit
         self.throw = throw
         self.fit = fit
-        self._law_size = len(fit.parameters) - len(START)
-        self._column = {
-            component.name: self._law_size + index
-            for index, component in enumerate(START)
-        }
         self.spin_ratio = 1.0
         fitted_spin = fit.parameters["omega0"].value
         if throw.new and abs(fitted_spin) > _MIN_SPIN:
@@ -253,7 +248,7 @@ class ThrowFamily:
         `random`, time and broom have the thrower's scatter.
         """
         throw = self.throw
-        column = self._column
+        column = START_INDEX
         vectors = values.copy()
         if not throw.new:
             vectors[:, column["x0"]] += throw.shift[0]
@@ -269,7 +264,7 @@ class ThrowFamily:
         if random is not None and call.thrower is not None:
             time_sd, broom_sd = call.thrower
             if hog_to_hog is None:
-                best = self.fit.values[None, : self._law_size]
+                best = before_start(self.fit.values[None])
                 speed = vectors[:1, column["v0"]]
                 spin = throw.values["omega0"]
                 hog_to_hog = draw.hog_to_hog(best, spin, speed)[0]
@@ -281,7 +276,7 @@ class ThrowFamily:
             vectors[:, column["heading"]] += angle
         if hog_to_hog is not None:
             vectors[:, column["v0"]] = draw.speeds(
-                vectors[:, : self._law_size], vectors[:, column["omega0"]], hog_to_hog
+                before_start(vectors), vectors[:, column["omega0"]], hog_to_hog
             )
         return vectors
 
@@ -291,7 +286,7 @@ class ThrowFamily:
         vectors = {}
         for name, change in VARIED.items():
             vectors[name] = self.with_start(self.fit.values[None])
-            vectors[name][0, self._column[name]] += change
+            vectors[name][0, START_INDEX[name]] += change
         return vectors
 
     def null_ends(self) -> list[Floats]:
@@ -361,7 +356,7 @@ def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
             continue
         heading = counter_clockwise.heading
         state = (0.0, hog, heading, counter_clockwise.v0, 0.0, spin)
-        values = np.array([[*fit.values[: -len(START)], *state]])
+        values = np.array([[*before_start(fit.values), *state]])
         path = simulate_ensemble(
             fit.model, values, fit.stone, LEVEL_AND_STILL, _WEIGHT_TIMES
         )

@@ -13,7 +13,7 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.verdict import Verdict
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES, before_start
 from curlfit.inference.model.system import System
 from curlfit.inference.together.draw import Draw
 from curlfit.prediction.result import Call, Goal, Origin
@@ -104,9 +104,7 @@ def planned(
     if not line:
         line = "data" if fit.counts_from_hack and not new else "hog"
     _require_possible(fit, requested_start, line, target, weight, tee_speed)
-    fitted_start = {
-        component.name: fit.parameters[component.name].value for component in START
-    }
+    fitted_start = fit.start
     default_start: dict[str, float] = {}
     if new:
         default_start["x0"] = fitted_start["x0"]
@@ -198,7 +196,7 @@ def _start_of_call(
             )
         spin = given_start.get("omega0", start.get("omega0", fitted_spin))
         draw = Draw(fit.model, fit.stone)
-        coefficients = fit.values[None, : -len(START)]
+        coefficients = before_start(fit.values[None])
         start["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
     return start
 
@@ -212,11 +210,11 @@ def _require_possible(
     tee_speed: float | None,
 ) -> None:
     """Raise `InputError` for contradictory or impossible requests."""
-    names = [component.name for component in START]
     for name in start:
-        if name not in names:
+        if name not in START_NAMES:
             raise InputError(
-                f"start: unknown {quoted(name)}; expected some of {', '.join(names)}"
+                f"start: unknown {quoted(name)}; expected some of "
+                f"{', '.join(START_NAMES)}"
             )
     VALUES.checked("start", start)
     aside, _ = (0.0, 0.0) if target is None else TARGET.checked("target", target)

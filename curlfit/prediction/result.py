@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from curlfit.findings import Finding
 from curlfit.inference.derived.quantiles import LEVELS, Quantiles
 from curlfit.inference.fit.entries import Extent
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.loads import Load
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
@@ -315,7 +315,7 @@ class Prediction(Record):
     load: Load
     stone: Stone
     fit: Extent
-    start: Annotated[dict[str, Start], Names(component.name for component in START)]
+    start: Annotated[dict[str, Start], Names(START_NAMES)]
     of: Literal["fitted", "new"]
     line: str
     goal: Goal | None

@@ -22,7 +22,7 @@ from curlfit.inference.derived.quantity import Derived
 from curlfit.inference.information.ridge_information import demanded_errors
 from curlfit.inference.information.thresholds import INTERVAL
 from curlfit.inference.information.verdict import Verdict
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.numerics.arrays import Floats
 
 _POSITIONS = ("x0", "y0", "heading", "phi0")
@@ -106,8 +106,7 @@ def _factors(first_order: FirstOrder, rises: Floats) -> list[_Factor]:
         and name not in _POSITIONS
     ]
     along = {name: np.array([point[name] for point in points]) for name in names}
-    initial = {parameter.name for parameter in START}
-    coefficients = [name for name in names if name not in initial]
+    coefficients = [name for name in names if name not in START_NAMES]
     factors = [_Factor(name, frozenset([name]), along[name]) for name in coefficients]
     for first, second in itertools.combinations(coefficients, 2):
         if along[first][0] < along[second][0]:
@@ -120,7 +119,7 @@ def _factors(first_order: FirstOrder, rises: Floats) -> list[_Factor]:
     factors += [
         _Factor(name, frozenset([name]), along[name])
         for name in names
-        if name in initial
+        if name in START_NAMES
     ]
     return [factor for factor in factors if _varies(factor.along[rises <= INTERVAL])]
 

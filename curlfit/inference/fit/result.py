@@ -44,7 +44,7 @@ from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.conditions import CONDITIONS
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START, ParameterSet
+from curlfit.inference.model.parameters import START, START_NAMES, ParameterSet
 from curlfit.inference.model.priors import parse_priors
 from curlfit.inference.noise.independence import Independence
 from curlfit.loads import Load
@@ -187,7 +187,7 @@ class FitResult(NamedEstimates):
             name for combination in self.combinations for name in combination.weights
         }
         names_by_entry: dict[str, Iterable[str]] = {
-            "parameters": [parameter.name for parameter in START],
+            "parameters": START_NAMES,
             "covariance": self.covariance.names,
             "information": self.information.names,
             "null_directions": of_null_directions,
@@ -309,6 +309,11 @@ class FitResult(NamedEstimates):
         return {name: self.parameters[name] for name in self.parameter_set.conditions}
 
     @property
+    def start(self) -> dict[str, float]:
+        """The initial state, by the names of its parameters."""
+        return {name: self.parameters[name].value for name in START_NAMES}
+
+    @property
     def parameter_set(self) -> ParameterSet:
         """Names, bounds and fixed values of the fit."""
         attributes = [attribute.name for attribute in fields(Parameter)]
@@ -339,10 +344,10 @@ class FitResult(NamedEstimates):
                 of_channel[name] = series[f"sigma_{name}"]
         assumed = {}
         if self.events:
-            for parameter in START:
-                estimate = self.parameters[parameter.name]
+            for name in START_NAMES:
+                estimate = self.parameters[name]
                 if estimate.verdict == Verdict.FIXED:
-                    assumed[parameter.name] = estimate.value
+                    assumed[name] = estimate.value
         return Throw.from_arrays(
             series["t"],
             **channels,

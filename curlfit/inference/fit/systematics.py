@@ -25,7 +25,7 @@ from curlfit.inference.model.conditions import (
 )
 from curlfit.inference.model.likelihood import predict_many
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_INDEX
 from curlfit.inference.model.problem import Problem
 from curlfit.inference.model.request import Request
 from curlfit.inference.noise.whitening import whitened
@@ -37,8 +37,6 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements
 
-_SPIN = [parameter.name for parameter in START].index("omega0") - len(START)
-"""Index of the spin among the parameters, from the last."""
 _STEP = 1e-2
 """Of a width, of differences: the path is accurate to 1e-7 of it."""
 
@@ -155,7 +153,7 @@ def residual_changes(
         }
         moved = values.copy()
         if SPIN.name in off:
-            moved[:, _SPIN] += off.pop(SPIN.name) * assumed_spins
+            moved[:, START_INDEX["omega0"]] += off.pop(SPIN.name) * assumed_spins
         return _measured(model, problems, moved, off, batch, calibrations)[:, :channels]
 
     changes = {}
@@ -168,7 +166,7 @@ def residual_changes(
         # the whole change: it is even in the spin, and has no slope where there is none
         is_zero = np.array([request.spin_taken_for_zero for request in requests])
         moved = values.copy()
-        moved[:, _SPIN] += widths[UNKNOWN_SPIN.name] * is_zero
+        moved[:, START_INDEX["omega0"]] += widths[UNKNOWN_SPIN.name] * is_zero
         turning = _measured(model, problems, moved, {}, batch, calibrations)
         changes[UNKNOWN_SPIN.name] = (turning - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight

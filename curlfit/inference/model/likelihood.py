@@ -40,7 +40,7 @@ from curlfit.inference.model.system import System
 from curlfit.inference.noise.whitening import whitened
 from curlfit.losses import LOSSES, loss_at
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import BATCH, in_batches, unstacked
+from curlfit.numerics.batches import BATCH, in_batches, over_stack, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY
 from curlfit.throws.events import EventArrays
@@ -162,24 +162,25 @@ def _scaled(position: Array, start: Array, scale: Any) -> Array:
     return position if isinstance(scale, float) else start + scale * (position - start)
 
 
-_single_channels = compiled("model")(_channels)
-
-
-def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
+def predict_channels(model: Model, values: Any, problem: Problem) -> Floats:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a
     sixth row has one event per column."""
-    found: Array = _single_channels(*_of_path(model, values, problem))
-    return found
+    path: Floats = predict_many(model, values[None], stacked([problem]), 1)[0]
+    return path
 
 
 def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
     """Begin to compile what `predict_channels` needs."""
-    _single_channels.prepare(*_of_path(model, np.zeros(parameters), problem))
+    _stack_of_channels.prepare(
+        *_of_path(model, np.zeros((1, parameters)), stacked([problem]))
+    )
 
 
-def _of_path(model: Model, values: Any, problem: Problem) -> tuple[Model, Any, Problem]:
+def _of_path(
+    model: Model, values: Any, problems: Problem
+) -> tuple[Model, Any, Problem]:
     """Arguments of a program for paths."""
-    return model.of_program, model.vector(values), _without_data(problem)
+    return model.of_program, model.vector(values), _without_data(problems)
 
 
 def _without_data(problem: Problem) -> Problem:
@@ -189,8 +190,8 @@ def _without_data(problem: Problem) -> Problem:
 
 
 @compiled("model")
-def _batch_of_channels(model: Model, values: Array, problems: Problem) -> Array:
-    return jax.vmap(partial(_channels, model))(values, problems)
+def _stack_of_channels(model: Model, values: Array, problems: Problem) -> Any:
+    return over_stack(partial(_channels, model), values, problems)
 
 
 def predict_many(
@@ -198,16 +199,14 @@ def predict_many(
 ) -> Floats:
     """The result of `predict_channels` for each of many throws, shape
     (throws, 5 or 6, n)."""
-    if batch == 1:
-        pairs = zip(values, unstacked(problems), strict=True)
-        return np.array([predict_channels(model, *pair) for pair in pairs])
-    program = partial(_batch_of_channels, model)
-    return np.asarray(in_batches(program, (values, _without_data(problems)), batch))
+    of_program, vectors, without_data = _of_path(model, values, problems)
+    program = partial(_stack_of_channels, of_program)
+    return np.asarray(in_batches(program, (vectors, without_data), batch))
 
 
 @compiled("model")
-def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Array:
-    return jax.vmap(jax.jacfwd(partial(_channels, model)))(values, problems)
+def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Any:
+    return over_stack(jax.jacfwd(partial(_channels, model)), values, problems)
 
 
 def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
@@ -279,7 +278,7 @@ def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Ar
 
         return jax.jacfwd(residual, has_aux=True)(values)
 
-    jacobian, found = jax.vmap(one)(values, problems)
+    jacobian, found = over_stack(one, values, problems)
     return found, jacobian
 
 

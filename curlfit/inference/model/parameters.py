@@ -43,6 +43,10 @@ START = (
         "initial spin, counter-clockwise",
     ),
 )
+"""The initial state, the last parameters of each fit."""
+START_NAMES = tuple(component.name for component in START)
+START_INDEX = {name: START_NAMES.index(name) - len(START) for name in START_NAMES}
+"""Indices among the parameters of a fit, from their end."""
 
 BOUNDS_WITHOUT_ANGLE = {"omega0": (-MAX_SPIN, MAX_SPIN)}
 """Bounds of the spin where neither it nor the angle was measured: far beyond these a
@@ -52,6 +56,12 @@ path stays the same as friction and spin grow."""
 def parameter_names(law: type[Law]) -> list[str]:
     """Names of all possible parameters of a fit of a law, in order."""
     return [parameter.name for parameter in (*law.coefficients(), *CONDITIONS, *START)]
+
+
+def before_start(values: Any) -> Any:
+    """Values of the law's coefficients and of the conditions from those of all
+    parameters, along the last axis."""
+    return values[..., : -len(START)]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from curlfit.dynamics.trajectory import InitialState, simulate
 from curlfit.environment import Environment
 from curlfit.friction import Law
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.model.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches
@@ -47,14 +47,19 @@ class System(NamedTuple):
         k = len(model.law.coefficients())
         given = {name: values[k + index] for index, name in enumerate(model.conditions)}
         first = k + len(model.conditions)
-        x0, y0, heading, v0, phi0, omega0 = (
-            values[first + index] for index in range(len(START))
-        )
+        start = {name: values[first + index] for index, name in enumerate(START_NAMES)}
         return cls(
             model.law.from_vector(values),
             _replaced(stone, given),
             _replaced(environment, given),
-            InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0),
+            InitialState(
+                x=start["x0"],
+                y=start["y0"],
+                heading=start["heading"],
+                v=start["v0"],
+                phi=start["phi0"],
+                omega=start["omega0"],
+            ),
             given.get("length_scale", 1.0),
             given.get("time_scale", 1.0),
         )

@@ -24,7 +24,14 @@ from curlfit.inference.model.priors import Penalty
 from curlfit.inference.model.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import BATCH, at, in_batches, stacked
+from curlfit.numerics.batches import (
+    BATCH,
+    at,
+    in_batches,
+    is_worth_optimizing,
+    over_stack,
+    stacked,
+)
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -128,6 +135,11 @@ class Tasks(NamedTuple):
         return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
 
     @property
+    def throws_per_problem(self) -> int:
+        """Of one problem: more than one where they have parameters in common."""
+        return 1 if self.common is None else self.problems.observed.shape[1]
+
+    @property
     def _loss(self) -> int | None:
         """Place of the loss of all problems; None if they differ, as those do of which
         some are still fitted without it."""
@@ -147,7 +159,7 @@ class Tasks(NamedTuple):
                 common = pad(common.astype(float), 1.0) > 0
         blocks = Blocks.of(np.ones(len(typical), bool))
         if common is not None:
-            blocks = Blocks.of(common, self.problems.observed.shape[1])
+            blocks = Blocks.of(common, self.throws_per_problem)
         stacks = (
             model.vector(self.start),
             model.vector(self.lower),
@@ -161,7 +173,7 @@ class Tasks(NamedTuple):
 
 
 class ProgramArguments(NamedTuple):
-    """What the compiled programs are called with, in the order of `_solve`."""
+    """What the compiled programs are called with, in the order of `_solutions`."""
 
     model: Model
     loss: int | None
@@ -174,7 +186,7 @@ class ProgramArguments(NamedTuple):
     control: Control
 
 
-def _solve(
+def _solutions(
     model: Model,
     loss: int | None,
     stacks: Stacks,
@@ -220,33 +232,21 @@ def _solve(
             penalty=penalty.chi_squared(ended.value),
         )
 
-    if len(stacks[0]) > 1:
-        return jax.vmap(solved)(*stacks)
-    # Under vmap, both branches of each condition would be computed.
-    alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
-    stack_of_one: Solution = jax.tree.map(lambda leaf: leaf[None], alone)
-    return stack_of_one
+    solutions: Solution = over_stack(solved, *stacks)
+    return solutions
 
 
-_solve_once = compiled("model", "loss")(_solve)
-_solve_often = compiled("model", "loss", optimize=True)(_solve)
+_solve = compiled("model", "loss")(_solutions)
+_solve_optimized = compiled("model", "loss", optimize=True)(_solutions)
 
 
 def solve(
-    model: Model,
-    tasks: Tasks,
-    how: Control = PRECISE,
-    batch: int = 1,
-    *,
-    once: bool = True,
+    model: Model, tasks: Tasks, how: Control = PRECISE, batch: int = 1
 ) -> Solution:
-    """The optima of problems, a batch of them side by side.
-
-    Parameters
-    ----------
-    once : whether a program compiled quickly is better than a fast one.
-    """
-    program = _solve_once if once else _solve_often
+    """The optima of problems, a batch of them side by side."""
+    program = _solve
+    if is_worth_optimizing(batch * tasks.throws_per_problem):
+        program = _solve_optimized
     arguments = tasks.arguments(model, how)
     solutions: Solution = in_batches(
         lambda *some: program(*arguments._replace(stacks=some)),
@@ -263,14 +263,18 @@ def solve(
     return solutions
 
 
+def _usual_control(batch: int) -> Control:
+    """How the solves of a batch begin and end."""
+    return PRECISE if batch == 1 else _QUICK
+
+
 def prepare_minimize(
     model: Model, parameters: ParameterSet, problem: Problem, batch: int = 1
 ) -> None:
     """Begin to compile what `minimize_many` needs for problems like this one,
     alone or few."""
-    control = PRECISE if batch == 1 else _QUICK
     tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
-    _solve_once.prepare(*tasks.arguments(model, control))
+    _solve.prepare(*tasks.arguments(model, _usual_control(batch)))
 
 
 def minimize_many(
@@ -289,16 +293,15 @@ def minimize_many(
     how : how a solve begins and ends, by default as the number of problems demands.
     """
     count = len(tasks.start)
-    control = (how or PRECISE)._replace(most=most)
-    if batch > 1:
-        control = (how or _QUICK)._replace(most=min(_FIRST_STEPS, most))
+    first_steps = most if batch == 1 else min(_FIRST_STEPS, most)
+    control = (how or _usual_control(batch))._replace(most=first_steps)
     tasks = tasks._replace(start=np.array(tasks.start))
     optima: Any = None
     due = np.arange(count)
     while len(due):
         is_interrupted = np.zeros(count, bool)
         for part in _of_one_loss(due, tasks.problems.loss, batch):
-            reached = solve(model, tasks.at(part), control, batch, once=batch < BATCH)
+            reached = solve(model, tasks.at(part), control, batch)
             if optima is None:
                 optima = jax.tree.map(
                     lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), reached

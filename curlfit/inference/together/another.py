@@ -18,7 +18,7 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.named_matrix import NamedMatrix
 from curlfit.inference.information.verdict import Verdict
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START, START_INDEX, before_start
 from curlfit.inference.together.draw import Draw
 from curlfit.inference.together.result import JointResult, SeparateFits
 from curlfit.numerics.arrays import Floats
@@ -57,7 +57,7 @@ def another(
     values[:, of_mean] = [mean, *drawn]
     angle = np.copysign(joint.means.angle, near.parameters["omega0"].value)
     draw = Draw(near.model, near.stone)
-    values[:, names.index("omega0")] = draw.spin(values[:, : -len(START)], angle)
+    values[:, START_INDEX["omega0"]] = draw.spin(before_start(values), angle)
     best = {
         name: replace(near.parameters[name], value=float(value))
         for name, value in zip(names, values[0], strict=True)

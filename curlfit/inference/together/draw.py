@@ -8,7 +8,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.model.problem import LEVEL_AND_STILL
 from curlfit.inference.model.system import motions
 from curlfit.numerics.arrays import Floats
@@ -124,7 +124,7 @@ class Draw(NamedTuple):
             "v0": speed,
             "omega0": spin,
         }
-        columns = [np.broadcast_to(start[item.name], speed.shape) for item in START]
+        columns = [np.broadcast_to(start[name], speed.shape) for name in START_NAMES]
         values = np.column_stack([coefficients, *columns])
         states, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
         paths: Floats = states[:, :3].swapaxes(0, 1)

@@ -22,7 +22,7 @@ from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematic
 from curlfit.inference.fit.result import FitResult, load_fit
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.named_matrix import NamedMatrix
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.sampling.chain import Chain, digest, load_chain
 from curlfit.inference.together.effects import Effect, Means
 from curlfit.loads import Load
@@ -93,7 +93,7 @@ class StartOfThrow(Entry):
     """
 
     labels: dict[str, str]
-    start: Annotated[dict[str, float], Names(component.name for component in START)]
+    start: Annotated[dict[str, float], Names(START_NAMES)]
 
 
 @dataclass(frozen=True, eq=False)

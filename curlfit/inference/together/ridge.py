@@ -16,7 +16,7 @@ from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.information import Information, Marginal
 from curlfit.inference.information.ridge_information import demanded_errors
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_INDEX
 from curlfit.inference.solve.initial_values import default_guess
 from curlfit.inference.solve.least_squares import Solution
 from curlfit.inference.together.draw import DRAW, Draw
@@ -113,21 +113,21 @@ def errors_of_draw(ridge: JointRidge, draw: Draw, common: Booleans) -> dict[str,
     """Errors of the quantities of a draw to the tee with the usual angle, by how far
     they move along the ridge: at each of its points by the coefficients and spins of
     that point."""
-    spin = len(common) - len(START) + [item.name for item in START].index("omega0")
-    centre = _drawn([one.optimum for one in ridge.of_throws], draw, common, spin)
+    centre = _drawn([one.optimum for one in ridge.of_throws], draw, common)
     errors = np.zeros(len(DRAW))
     rises = ridge.in_common.rises
     for number in range(0, len(rises), -(-len(rises) // _DRAWN) or 1):
         points = [one.points[number] for one in ridge.of_throws]
-        moved = np.abs(_drawn(points, draw, common, spin) - centre)
+        moved = np.abs(_drawn(points, draw, common) - centre)
         errors = np.maximum(errors, demanded_errors(moved, rises[number]))
     return dict(zip(DRAW, errors.tolist(), strict=True))
 
 
-def _drawn(points: Sequence[Point], draw: Draw, common: Booleans, spin: int) -> Floats:
+def _drawn(points: Sequence[Point], draw: Draw, common: Booleans) -> Floats:
     """Quantities of a draw that turns as throws usually do, a point of each throw."""
     values = np.array([point.values for point in points])
-    angle = float(np.median(np.abs(draw.angle(values[:, common], values[:, spin]))))
+    spins = values[:, START_INDEX["omega0"]]
+    angle = float(np.median(np.abs(draw.angle(values[:, common], spins))))
     return draw.quantities(values[:1, common], angle)[0]
 
 

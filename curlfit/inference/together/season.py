@@ -28,7 +28,7 @@ from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.information import Information
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
-from curlfit.inference.model.parameters import START
+from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.model.problem import LEVEL_AND_STILL
 from curlfit.inference.model.system import motions
 from curlfit.inference.together.advice import warnings_of_slopes
@@ -137,11 +137,10 @@ class Season(NamedTuple):
             for row, (_, labels) in enumerate(self.labels)
             if not self.conditions
         }
-        names = [item.name for item in START]
         starts = [
             StartOfThrow(
                 labels=dict(labels),
-                start=dict(zip(names, self.start[row].tolist(), strict=True)),
+                start=dict(zip(START_NAMES, self.start[row].tolist(), strict=True)),
             )
             for labels, row in sorted(last_rows.items(), key=itemgetter(1))
         ]

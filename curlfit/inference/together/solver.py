@@ -17,7 +17,7 @@ from curlfit.inference.model.priors import Penalty
 from curlfit.inference.solve.least_squares import Control, Solution, Tasks, solve
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import FEW, stacked
+from curlfit.numerics.batches import at, stacked
 
 Progress = Callable[[int, float], None]
 
@@ -62,9 +62,7 @@ def minimize_jointly(
     start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
     whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
     whole = whole._replace(typical=typical, common=common)
-    found: Solution = jax.tree.map(
-        lambda leaf: leaf[0], solve(model, whole, how, once=count <= FEW)
-    )
+    found: Solution = at(solve(model, whole, how), 0)
     values = found.values[Blocks.of(common, count).index]
     if progress is not None:
         progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
