@@ -41,42 +41,44 @@ class ThrowsAlone(NamedTuple):
         rows_by_throw = [np.zeros((0, len(names)))] * len(fits)
         typical = np.ones(len(names))
         stated: list[dict[str, float]] = [{} for _ in fits]
-        for place, fit in enumerate(fits):
+        for throw, fit in enumerate(fits):
             if fit is not None:
-                parameters = [fit.parameters[name] for name in names]
-                values[place] = [item.value for item in parameters]
-                typical = np.array([item.typical for item in parameters])
-                rows_by_throw[place] = all_coefficient_rows(fit, names)[:, :-1]
-                stated[place] = _stated_errors(fit)
-        most = max(map(len, rows_by_throw))
-        rows = np.zeros((len(fits), most, len(names)))
-        for place, of_throw in enumerate(rows_by_throw):
-            rows[place, : len(of_throw)] = of_throw
+                estimates = [fit.parameters[name] for name in names]
+                values[throw] = [estimate.value for estimate in estimates]
+                typical = np.array([estimate.typical for estimate in estimates])
+                rows_by_throw[throw] = all_coefficient_rows(fit, names)[:, :-1]
+                stated[throw] = _stated_errors(fit)
+        most_rows = max(len(rows_of_throw) for rows_of_throw in rows_by_throw)
+        rows = np.zeros((len(fits), most_rows, len(names)))
+        for throw, rows_of_throw in enumerate(rows_by_throw):
+            rows[throw, : len(rows_of_throw)] = rows_of_throw
         return cls(values, rows, typical, stated)
 
     def estimates(
         self, expression: str, weights: Floats
     ) -> list[tuple[float, float] | None]:
         """A weighted sum of the parameters and its standard error from each throw."""
-        by_rows = errors_by_rows(self.rows, weights, self.typical)
-        errors = [
-            stated.get(expression, error)
-            for stated, error in zip(self.stated, by_rows, strict=True)
-        ]
+        errors_of_rows = errors_by_rows(self.rows, weights, self.typical)
         values = self.values @ weights
-        return [
-            None if error is None else (float(value), error)
-            for value, error in zip(values, errors, strict=True)
-        ]
+        estimates: list[tuple[float, float] | None] = []
+        for value, error_of_rows, stated_errors in zip(
+            values, errors_of_rows, self.stated, strict=True
+        ):
+            error = stated_errors.get(expression, error_of_rows)
+            estimates.append(None if error is None else (float(value), error))
+        return estimates
 
 
 def _stated_errors(fit: FitResult) -> dict[str, float]:
     """Standard errors that a fit states, by coefficient and combination."""
-    of_parameters = {name: item.stderr for name, item in fit.parameters.items()}
-    of_combinations = {item.expression: item.stderr for item in fit.combinations}
+    stderr_by_expression = {
+        name: estimate.stderr for name, estimate in fit.parameters.items()
+    }
+    for combination in fit.combinations:
+        stderr_by_expression[combination.expression] = combination.stderr
     return {
-        name: stderr
-        for name, stderr in {**of_parameters, **of_combinations}.items()
+        expression: stderr
+        for expression, stderr in stderr_by_expression.items()
         if stderr is not None
     }
 
@@ -86,7 +88,10 @@ def errors_by_rows(
 ) -> list[float | None]:
     """Standard error of a weighted sum of parameters, as the rows of each throw tell
     it; None where they do not."""
-    return [standard_error(of_throw * typical, weights * typical) for of_throw in rows]
+    return [
+        standard_error(rows_of_throw * typical, weights * typical)
+        for rows_of_throw in rows
+    ]
 
 
 def fitted_alone(
@@ -95,18 +100,18 @@ def fitted_alone(
     """Each throw fitted by itself, with some parameters `held`; None where that does
     not converge. The priors of what throws have in common count once, for all of them,
     and are not among these."""
-    stack = together.stack
-    names = stack.requests[0].parameters.names_where(together.common)
-    again = ThrowStack(
-        stack.model,
-        [_by_itself(request, names, held) for request in stack.requests],
-        shape=stack.problems.observed.shape[1:],
-        batch=side_by_side(len(stack.requests)),
+    joint_stack = together.stack
+    names = joint_stack.requests[0].parameters.names_where(together.common)
+    stack = ThrowStack(
+        joint_stack.model,
+        [_by_itself(request, names, held) for request in joint_stack.requests],
+        shape=joint_stack.problems.observed.shape[1:],
+        batch=side_by_side(len(joint_stack.requests)),
     )
-    fits = fitted(again)
-    usable = [one for one in fits if not isinstance(one, CurlfitError)]
-    curves = again.loss.is_robust or not again.noises[0].is_white
-    records = iter(summarize_many(usable, again.batch, curves=curves))
+    fits = fitted(stack)
+    usable = [fit for fit in fits if not isinstance(fit, CurlfitError)]
+    curves = stack.loss.is_robust or not stack.noises[0].is_white
+    records = iter(summarize_many(usable, stack.batch, curves=curves))
     alone: list[FitResult | None] = []
     for fit in fits:
         record = None if isinstance(fit, CurlfitError) else next(records)

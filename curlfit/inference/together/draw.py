@@ -18,7 +18,8 @@ from curlfit.stone import GRAVITY, Stone
 _START = LINES["hog"]
 _LENGTH = TEE - _START
 _USUAL = 2.2  # m/s, from which the speed is found
-_ROUNDS, _FEW_ROUNDS = 12, 5  # from a usual throw, from one on the same ice
+_ROUNDS = 12  # from a usual throw
+_FEW_ROUNDS = 5  # from a throw on the same ice
 TIMES = np.linspace(0.0, 37.5, 301)
 """s, within which stones come to rest."""
 _DURATION = 25.0  # s, from which the spin is found
@@ -30,6 +31,21 @@ line to rest, curl at rest to the side to which the front turns, and the time fr
 line to hog line."""
 
 
+class _DrawToTee(NamedTuple):
+    """Motions of stones from the near hog line to rest at the tee."""
+
+    speed: Floats
+    """m/s at the hog line, shape (stones,)"""
+    spin: Floats
+    """rad/s at the hog line, shape (stones,)"""
+    angle: Floats
+    """rad, by which they turn in all, shape (stones,)"""
+    x: Floats
+    """m, at `TIMES`, shape (stones, times)"""
+    y: Floats
+    """m, at `TIMES`, shape (stones, times)"""
+
+
 class Draw(NamedTuple):
     """A stone that is released at the near hog line along the centre line."""
 
@@ -39,21 +55,21 @@ class Draw(NamedTuple):
     def angle(self, coefficients: Floats, spin: Floats) -> Floats:
         """Angles in rad by which stones of some spin turn on their way to rest at the
         tee, for vectors of the coefficients and conditions."""
-        return self._to_tee(
-            coefficients, np.full(len(spin), _USUAL), spin, None, _ROUNDS
-        )[2]
+        speed = np.full(len(spin), _USUAL)
+        return self._to_tee(coefficients, speed, spin, None, _ROUNDS).angle
 
     def spin(self, coefficients: Floats, angle: float) -> Floats:
         """Spins in rad/s of stones that turn by an angle on their way to
         rest at the tee."""
-        return self._turning(coefficients, angle)[1]
+        return self._turning(coefficients, angle).spin
 
     def quantities(self, coefficients: Floats, angle: float) -> Floats:
-        """Those of `DRAW`, shape (vectors, 3), where it turns by an angle and
+        """The quantities of `DRAW`, shape (vectors, 3), where it turns by an angle and
         rests at the tee."""
-        speed, _, _, x, y = self._turning(coefficients, angle)
-        friction = speed**2 / (2 * GRAVITY * _LENGTH)
-        return np.column_stack([friction, -np.sign(angle) * x[:, -1], _hog_to_hog(y)])
+        motion = self._turning(coefficients, angle)
+        friction = motion.speed**2 / (2 * GRAVITY * _LENGTH)
+        curl = -np.sign(angle) * motion.x[:, -1]
+        return np.column_stack([friction, curl, _hog_to_hog(motion.y)])
 
     def speeds(self, coefficients: Floats, spin: Any, hog_to_hog: Any) -> Floats:
         """Speeds in m/s at the near hog line of stones that take so many s to the far
@@ -77,20 +93,17 @@ class Draw(NamedTuple):
         """Times in s between the hog lines of stones of some speeds at the near one."""
         return _hog_to_hog(self._paths(coefficients, speed, spin)[1])
 
-    def _turning(self, coefficients: Floats, angle: float) -> tuple[Floats, ...]:
-        """Those of `_to_tee` where it turns by an angle, from what the first
-        vector gives."""
+    def _turning(self, coefficients: Floats, angle: float) -> _DrawToTee:
+        """Motions to rest at the tee of stones that turn by an angle; that of the first
+        vector is searched from a usual one, the others from the first."""
         usual_speed = np.array([_USUAL])
         usual_spin = np.array([angle / _DURATION])
-        of_first = coefficients[:1]
+        first = self._to_tee(coefficients[:1], usual_speed, usual_spin, angle, _ROUNDS)
         count = len(coefficients)
-        speed, spin, *_ = self._to_tee(
-            of_first, usual_speed, usual_spin, angle, _ROUNDS
-        )
         return self._to_tee(
             coefficients,
-            np.repeat(speed, count),
-            np.repeat(spin, count),
+            np.repeat(first.speed, count),
+            np.repeat(first.spin, count),
             angle,
             _FEW_ROUNDS,
         )
@@ -102,9 +115,9 @@ class Draw(NamedTuple):
         spin: Floats,
         angle: float | None,
         rounds: int,
-    ) -> tuple[Floats, ...]:
-        """Speed, spin, angle and the path where it rests at the tee, and turns by an
-        angle if one is given."""
+    ) -> _DrawToTee:
+        """Motions to rest at the tee of stones that turn by an angle if one is given,
+        searched from a speed and a spin."""
         # distance and angle are nearly v^2 and in proportion to the spin
         for _ in range(rounds):
             _, y, phi = self._paths(coefficients, speed, spin)
@@ -112,7 +125,7 @@ class Draw(NamedTuple):
                 spin = spin * angle / phi[:, -1]
             speed = speed * np.sqrt(_LENGTH / (y[:, -1] - _START))
         x, y, phi = self._paths(coefficients, speed, spin)
-        return speed, spin, phi[:, -1], x, y
+        return _DrawToTee(speed, spin, phi[:, -1], x, y)
 
     def _paths(self, coefficients: Floats, speed: Floats, spin: Any) -> Floats:
         """x, y and the angle of throws along the centre line."""

@@ -107,7 +107,8 @@ class Covariates(NamedTuple):
                 raise InputError(
                     f"trend-by {name}: expected a label of groups, as by --by {name}"
                 )
-        groups, trends = {}, {}
+        groups = {}
+        trends = {}
         columns: list[Sequence[float]] = []
         for name in by:
             labels = _labels(throws, name)
@@ -141,7 +142,7 @@ class Covariates(NamedTuple):
         return bool(np.linalg.matrix_rank(design) == design.shape[1])
 
     def with_slopes_by(self, labels: Sequence[str]) -> Self:
-        """The same groups and trends, with slopes of their own for the groups of some
+        """These groups and trends, with slopes of their own for the groups of some
         labels."""
         columns = self.values[:, : len(self.mean)]
         values = _with_products(columns, self.groups, self.trends, labels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from curlfit.inference.fit.ridge import Ridge
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
+from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.covariance import Covariance
 from curlfit.inference.information.information import Marginal
 from curlfit.inference.information.verdict import Verdict
@@ -50,6 +51,8 @@ from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import at, side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw
+
+_EstimateOrCombination = TypeVar("_EstimateOrCombination", Estimate, Combination)
 
 _MORE_SEARCHES = 4
 """After one that ended at its limit of 200 steps: 10 tracks without an angle took
@@ -149,11 +152,13 @@ def fit_joint_request(
             slopes=(),
             slope_differences=(),
         )
-    each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
-    odd_rows = dict.fromkeys(
-        odd for of_throw in request.throws for odd in of_throw.throw.odd_rows
+    throws = tuple(
+        replace(throw, quantities=quantities_of(throw)) for throw in result.throws
     )
-    result = replace(result, throws=each, odd_rows=tuple(odd_rows))
+    odd_rows = dict.fromkeys(
+        odd_row for of_throw in request.throws for odd_row in of_throw.throw.odd_rows
+    )
+    result = replace(result, throws=throws, odd_rows=tuple(odd_rows))
     return result.with_derived(first.derive)
 
 
@@ -191,8 +196,8 @@ def solved_together(
     _require_path(solution, first)
 
     def optima(throws: Indices) -> Solution:
-        some: Solution = at(solution, throws)
-        return some
+        solutions: Solution = at(solution, throws)
+        return solutions
 
     for _ in revisions(stack, np.arange(len(requests)), optima):
         tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
@@ -232,7 +237,8 @@ def _summarized(
     together: Together, solution: Solution, **known: Any
 ) -> list[FitResult]:
     records = [
-        together.stack.record(row, one) for row, one in enumerate(unstacked(solution))
+        together.stack.record(row, solution_of_throw)
+        for row, solution_of_throw in enumerate(unstacked(solution))
     ]
     return summarize_many(records, side_by_side(len(records)), **known)
 
@@ -266,18 +272,20 @@ def _equal(
     first = throws[0]
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(
-        item for item in first.combinations if set(item.weights) <= set(shared)
+        combination
+        for combination in first.combinations
+        if set(combination.weights) <= set(shared)
     )
     marginal = together.information(solution).marginal(common)
-    verdicts = {name: item.verdict for name, item in coefficients.items()}
+    verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
     if tasks.penalty.informative:
         by_data = Covariance.of(marginal.information.together().held(same[common]))
         departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
         not_varying = {*same_names, *parameters.fixed}
         verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
         by_expression = {
-            item.expression: item
-            for item in (*departures.kept(by_data.combinations), *combinations)
+            combination.expression: combination
+            for combination in (*departures.kept(by_data.combinations), *combinations)
         }
         combinations = tuple(by_expression.values())
     weights = {
@@ -295,7 +303,8 @@ def _equal(
     may_differ = (tasks.upper > tasks.lower)[0, common] & ~same[common]
     jointly = marginal.information.slopes * may_differ
     variations = variations_of(alone, jointly, weights, covariates.values)
-    of_law = np.isin(shared, [item.name for item in stack.model.law.coefficients()])
+    names_of_law = [coefficient.name for coefficient in stack.model.law.coefficients()]
+    of_law = np.isin(shared, names_of_law)
     may_vary = {
         expression: of_sum
         for expression, of_sum in weights.items()
@@ -303,8 +312,15 @@ def _equal(
     }
     varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
 
-    differing = {name: item for name, item in variations.items() if item.significant}
-    named = {*shared, *(item.expression for item in combinations)}
+    differing = {
+        expression: variation
+        for expression, variation in variations.items()
+        if variation.significant
+    }
+    expressions = {
+        *shared,
+        *(combination.expression for combination in combinations),
+    }
     result = JointResult(
         law=first.law,
         load=first.load,
@@ -313,14 +329,16 @@ def _equal(
         status="",
         warnings=(),
         coefficients={
-            name: _among(item, differing, name) for name, item in coefficients.items()
+            name: _with_shared_error(estimate, differing.get(name))
+            for name, estimate in coefficients.items()
         },
         combinations=tuple(
-            _among(item, differing, item.expression) for item in combinations
+            _with_shared_error(combination, differing.get(combination.expression))
+            for combination in combinations
         ),
         identifiability=_determined_together(throws, marginal),
         variation=tuple(variations.values()),
-        systematics=_about(first.systematics, named),
+        systematics=_about(first.systematics, expressions),
     )
     return _Equal(with_throws(result, throws, solution), varying, ridge)
 
@@ -382,13 +400,15 @@ def _verdicts_by_data(
     return verdicts
 
 
-def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
-    """A shared estimate; where throws differ in it, its error is that of the
-    mean over them."""
-    if name not in differing:
-        return item
-    throws = sum(one is not None for one in differing[name].each)
-    return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
+def _with_shared_error(
+    shared: _EstimateOrCombination, variation: Variation | None
+) -> _EstimateOrCombination:
+    """A shared estimate; with the variation of throws that differ in it, its error is
+    that of the mean over them."""
+    if variation is None:
+        return shared
+    throws = sum(of_throw is not None for of_throw in variation.each)
+    return replace(shared, stderr=variation.shared_stderr, dof=float(throws - 1))
 
 
 def _varying(

@@ -35,7 +35,7 @@ evenings whose exponents are far from what is usual 4, tracks without an angle 7
 _STEPS = 30  # to the optimum of a throw at its coefficients
 _LARGE = 1.0  # typical sizes that a step may be long
 _SETTLED = 0.01  # standard errors that coefficients still move by, which is none
-_ENDED = 0.1  # the same, which is little
+_ENDED = 0.1  # standard errors that they still move by, which is little
 _AT = 1e-9  # typical sizes from a bound
 _DRAWN = 400  # draws from the posterior, for predictions
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
@@ -84,16 +84,20 @@ class Population(NamedTuple):
         about it."""
         size = len(self.typical)
         mean = self.reference / self.typical + self.fit.estimate[:size]
-        by_expression = {item.expression: item for item in of_mean}
-        for item in equal:
-            varies = item.expression in self.weights
-            if varies and item.expression not in by_expression:
-                scaled = self.weights[item.expression] * self.typical
+        by_expression = {combination.expression: combination for combination in of_mean}
+        for combination in equal:
+            expression = combination.expression
+            if expression in self.weights and expression not in by_expression:
+                scaled = self.weights[expression] * self.typical
                 variance = scaled @ self.fit.covariance[:size, :size] @ scaled
-                by_expression[item.expression] = replace(
-                    item, value=float(scaled @ mean), stderr=float(variance**0.5)
+                by_expression[expression] = replace(
+                    combination,
+                    value=float(scaled @ mean),
+                    stderr=float(variance**0.5),
                 )
-        return tuple(replace(item, dof=self.dof) for item in by_expression.values())
+        return tuple(
+            replace(combination, dof=self.dof) for combination in by_expression.values()
+        )
 
     def of_mean(self, names: Sequence[str]) -> Covariance:
         """What all throws say of the common parameters of their mean."""
@@ -224,7 +228,7 @@ class LinearizedThrows(NamedTuple):
         )
 
     def along(self, projection: Floats) -> Self:
-        """The same where only a projection of the parameters has an effect."""
+        """These throws where only a projection of the parameters has an effect."""
         prior = self.prior
         if prior is not None:
             prior = prior[0] @ projection, prior[1]
@@ -308,13 +312,17 @@ def vary(
     guess : standard deviations between throws.
     untold : priors of parameters in common of which the throws tell nothing.
     """
-    tasks, solution, common = throws.tasks, throws.solution, throws.common
-    typical, reference = tasks.typical[common], solution.values[0, common]
+    tasks = throws.tasks
+    solution = throws.solution
+    common = throws.common
+    typical = tasks.typical[common]
+    reference = solution.values[0, common]
     covariates = throws.covariates.values
     names = throws.stack.requests[0].parameters.names_where(common)
     deviations = [untold[name].sd if name in untold else 0.0 for name in names]
     cut = (np.array(deviations) / typical) ** 2
-    centre, projection = reference, None
+    centre = reference
+    projection = None
     for linearization in itertools.count():
         solution = throws.stack.with_own_sigma(solution)
         marginal = marginal_of(throws, solution)
@@ -348,7 +356,8 @@ def _about(
     """Throws of which this is known of the parameters in common, with their priors
     about the mean `centre`; those of what is cut hold it while the rest is estimated.
     """
-    tasks, common = throws.tasks, throws.common
+    tasks = throws.tasks
+    common = throws.common
     typical = tasks.typical[common]
     reference = throws.solution.values[0, common]
     prior = None

@@ -102,12 +102,13 @@ def requests_of(
 
 def _common(throws: Sequence[Throw], name: str, default: str) -> str:
     """The law or load that the throws state. Raises `InputError` where they differ."""
-    first, *others = [throw.defaults.get(name, default) for throw in throws]
-    for throw, own in zip(throws[1:], others, strict=True):
-        if own != first:
+    first = throws[0].defaults.get(name, default)
+    for throw in throws[1:]:
+        stated = throw.defaults.get(name, default)
+        if stated != first:
             raise InputError(
                 f"{throws[0].name} and {throw.name} state different values of {name}, "
-                f"{first} and {own}; give the one for this fit"
+                f"{first} and {stated}; give the one for this fit"
             )
     return str(first)
 
@@ -117,19 +118,19 @@ def _shared(
 ) -> tuple[str, ...]:
     """Names of the shared coefficients. Raises `InputError` for one that the law does
     not have, or for choices that exclude a `mean` with groups or trends."""
-    own = tuple(item.name for item in law.coefficients())
-    shared = (
-        own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
-    )
+    names_of_law = tuple(coefficient.name for coefficient in law.coefficients())
+    shared = (share,) if isinstance(share, str) else tuple(share)
+    if share == "all":
+        shared = names_of_law
     for name in shared:
-        if name not in own:
+        if name not in names_of_law:
             raise InputError(
                 f"share: law {law.name} has no coefficient {quoted(name)}; "
-                f"it has {', '.join(own)}"
+                f"it has {', '.join(names_of_law)}"
             )
     if mean and chosen.loss.is_robust:
         raise InputError("by, trend: groups and trends are estimated with loss linear")
-    if mean and set(shared) != set(own):
+    if mean and set(shared) != set(names_of_law):
         raise InputError("share: with groups or trends, all coefficients have a mean")
-    check_derived(chosen.derive, own)
+    check_derived(chosen.derive, names_of_law)
     return shared

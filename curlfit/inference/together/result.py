@@ -349,18 +349,15 @@ class JointResult(NamedEstimates):
                 self.table.speeds.size * self.table.spins.size > 0,
                 "speeds and spins",
             )
-        for one in self.variation:
-            require(
-                "variation",
-                len(one.each) == len(self.variation[0].each),
-                "equal lengths",
-            )
+        throws_of_variations = {len(variation.each) for variation in self.variation}
+        require("variation", len(throws_of_variations) <= 1, "equal lengths")
 
     def with_law(self, law: str | type[Law] | None) -> JointResult:
         """The result, whose law is that of a user's file; see `FitResult.with_law`."""
         if law is not None and self.table is not None:
             find_law(law)  # known from now on
-        return replace(self, throws=tuple(one.with_law(law) for one in self.throws))
+        throws = tuple(throw.with_law(law) for throw in self.throws)
+        return replace(self, throws=throws)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@ fit all of them about as well as their optimum."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,9 +56,9 @@ class _Refit:
         marginal = information.marginal(common)
         penalty = tasks.penalty.at(0)
         shared = penalty._replace(weight=penalty.weight * common)
-        own = tasks.penalty._replace(weight=tasks.penalty.weight * ~common)
-        added = own.chi_squared(values).sum() + shared.chi_squared(values[0])
-        chi_squared = float(solution.chi_squared.sum() + added)
+        of_throws = tasks.penalty._replace(weight=tasks.penalty.weight * ~common)
+        of_priors = of_throws.chi_squared(values).sum() + shared.chi_squared(values[0])
+        chi_squared = float(solution.chi_squared.sum() + of_priors)
         of_common = priors[0] * common[:, None]
         return cls(solution, information, marginal, of_common, chi_squared, held)
 
@@ -113,11 +112,13 @@ def errors_of_draw(ridge: JointRidge, draw: Draw, common: Booleans) -> dict[str,
     """Errors of the quantities of a draw to the tee with the usual angle, by how far
     they move along the ridge: at each of its points by the coefficients and spins of
     that point."""
-    centre = _drawn([one.optimum for one in ridge.of_throws], draw, common)
+    optima = [of_throw.optimum for of_throw in ridge.of_throws]
+    centre = _drawn(optima, draw, common)
     errors = np.zeros(len(DRAW))
     rises = ridge.in_common.rises
-    for number in range(0, len(rises), -(-len(rises) // _DRAWN) or 1):
-        points = [one.points[number] for one in ridge.of_throws]
+    stride = -(-len(rises) // _DRAWN) or 1
+    for number in range(0, len(rises), stride):
+        points = [of_throw.points[number] for of_throw in ridge.of_throws]
         moved = np.abs(_drawn(points, draw, common) - centre)
         errors = np.maximum(errors, demanded_errors(moved, rises[number]))
     return dict(zip(DRAW, errors.tolist(), strict=True))
@@ -143,22 +144,20 @@ def follow_jointly(
     """
     tasks = together.tasks
     common = together.common
-    places = np.flatnonzero(common)
+    typical = tasks.typical[common]
+    columns = np.flatnonzero(common)  # of what is in common, among all parameters
     refits = [_Refit.of(together, solution, None)]
     points = [refits[0].in_common()]
 
     def refit(holds: Sequence[Hold]) -> list[Point]:
         first = len(points)
         for hold in holds:
-            index = int(places[hold.parameter])
-            apart = [
-                np.abs(
-                    (one.solution.values[0, common] - hold.start)
-                    / tasks.typical[common]
-                )
-                for one in refits
+            index = int(columns[hold.parameter])
+            distances = [
+                np.abs((known.solution.values[0, common] - hold.start) / typical).max()
+                for known in refits
             ]
-            nearest = refits[int(np.argmin([distance.max() for distance in apart]))]
+            nearest = refits[int(np.argmin(distances))]
             start = np.clip(nearest.near(hold.start), tasks.lower, tasks.upper)
             lower = np.array(tasks.lower)
             upper = np.array(tasks.upper)
@@ -174,23 +173,30 @@ def follow_jointly(
 
     bounds = tasks.lower[0, common], tasks.upper[0, common]
     errors = {int(common[:index].sum()): error for index, error in stderr.items()}
-    followed = Followed(points[0], *bounds, tasks.typical[common], errors)
+    followed = Followed(points[0], *bounds, typical, errors)
     (ridge,) = follow([followed], refit)
-    refit_at = {id(point): of_all for point, of_all in zip(points, refits, strict=True)}
-    near = [refit_at[id(point)] for point in ridge.points]
-    intervals = {int(places[index]): pair for index, pair in ridge.intervals.items()}
+    refit_by_point = {
+        id(point): refit_of_all
+        for point, refit_of_all in zip(points, refits, strict=True)
+    }
+    refits_along = [refit_by_point[id(point)] for point in ridge.points]
+    intervals = {
+        int(columns[parameter]): interval
+        for parameter, interval in ridge.intervals.items()
+    }
     of_throws = [
         Ridge(
             refits[0].of_throw(row),
-            tuple(of_all.of_throw(row) for of_all in near),
+            tuple(refit_of_all.of_throw(row) for refit_of_all in refits_along),
             ridge.rises,
             intervals,
         )
         for row in range(len(tasks.start))
     ]
-    law = together.stack.model.law
-    of_law = common[: len(law.coefficients())]
+    coefficients = together.stack.model.law.coefficients()
     usual = [
-        default_guess(item) for item in itertools.compress(law.coefficients(), of_law)
+        default_guess(coefficient)
+        for coefficient, is_common in zip(coefficients, common, strict=False)
+        if is_common
     ]
     return JointRidge(ridge, of_throws, np.array(usual))

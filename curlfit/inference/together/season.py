@@ -90,14 +90,17 @@ class Season(NamedTuple):
 
     @property
     def share(self) -> float:
-        """That of one throw in what all say roughly."""
+        """Share of one throw in what all say roughly."""
         return 1.0 / max(int(self.stretched.any((1, 2)).sum()), 1)
 
     def counts_left_open(self) -> dict[str, int]:
         """Numbers of throws by coefficient that they leave open."""
         counts = Counter(name for names in self.left_open for name in names)
-        names = [item.name for item in self.model.law.coefficients()]
-        return {name: counts[name] for name in names if name in counts}
+        return {
+            coefficient.name: counts[coefficient.name]
+            for coefficient in self.model.law.coefficients()
+            if coefficient.name in counts
+        }
 
     def warnings(self) -> tuple[Finding, ...]:
         """What the throws leave open, and what would help."""

@@ -59,18 +59,25 @@ def minimize_jointly(
     typical = joined(np.broadcast_to(throws.typical, padded.start.shape))
     padded.penalty.weight[count:] = 0.0
     penalty = Penalty(*map(joined, padded.penalty))
-    start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
-    whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
+    task = Tasks(
+        padded.problems,
+        joined(padded.start),
+        joined(padded.lower),
+        joined(padded.upper),
+        typical,
+        penalty,
+    )
+    whole = stacked([task])
     whole = whole._replace(typical=typical, common=common)
-    found: Solution = at(solve(model, whole, how), 0)
-    values = found.values[Blocks.of(common, count).index]
+    optimum: Solution = at(solve(model, whole, how), 0)
+    values = optimum.values[Blocks.of(common, count).index]
     if progress is not None:
-        progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
+        progress(int(optimum.steps), float(optimum.chi_squared.sum() + optimum.penalty))
     return Solution(
         values,
-        found.residual[:count],
-        found.jacobian[:count],
-        np.full(count, found.steps),
-        np.full(count, found.success),
+        optimum.residual[:count],
+        optimum.jacobian[:count],
+        np.full(count, optimum.steps),
+        np.full(count, optimum.success),
         throws.penalty.chi_squared(values),
     )

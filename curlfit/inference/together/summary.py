@@ -63,7 +63,8 @@ def about_mean(
     throws : vectors of the common parameters and initial spins of throws, whose draws
         to the tee have the usual angle.
     draws : from the posterior of the population, whose quantiles are given.
-    of_others : the same, for predictions of draws that have not been thrown.
+    of_others : from the posterior of the population, for predictions of draws that have
+        not been thrown.
     ridge : of equal coefficients, where chi squared is no quadratic.
     left_open : coefficients that ridges of single throws leave open; a bound may hold
         the mean of one, which tells no more of it.
@@ -119,7 +120,9 @@ def about_mean(
 def _determined(equal: JointResult, population: Population) -> DeterminedTogether:
     """How much throws determine that vary: no more than if they are equal."""
     determined = equal.identifiability
-    fixed = sum(item.verdict == Verdict.FIXED for item in equal.coefficients.values())
+    fixed = sum(
+        estimate.verdict == Verdict.FIXED for estimate in equal.coefficients.values()
+    )
     undetermined = population.fit.model.null.shape[1] - fixed
     rank = min(determined.rank, determined.parameters - undetermined)
     return replace(determined, rank=rank)
@@ -132,8 +135,10 @@ def _with_spreads(
     spreads = dict(zip(population.weights, population.spreads.tolist(), strict=True))
     quantiles: dict[str, Quantiles] = {}
     if draws is not None:
-        of_each = map(quantiles_of, draws.spreads.T)
-        quantiles = dict(zip(population.weights, of_each, strict=True))
+        for expression, samples in zip(
+            population.weights, draws.spreads.T, strict=True
+        ):
+            quantiles[expression] = quantiles_of(samples)
     return tuple(
         replace(
             variation,
@@ -312,31 +317,30 @@ class _Quantities(NamedTuple):
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:
         """Of all throws and of the groups; differences of these from the first one of
         the same label; and one unit along the trends."""
-        means, nothing = self.means, self.means.of_groups({})
-        groups = self._effects(means.at(nothing), self._values(nothing[None])[0])
+        means = self.means
+        at_all = means.of_groups({})
+        groups = self._effects(means.at(at_all), self._values(at_all[None])[0])
         differences: list[Effect] = []
         trend: list[Effect] = []
         for by, members in means.groups.items():
-            columns = np.array([means.of_groups({by: one}) for one in members])
-            each = list(
-                zip(members, means.at(columns), self._values(columns), strict=True)
-            )
-            first, to, values = each[0]
-            for group, own, of_group in each:
-                groups += self._effects(own, of_group, by=by, group=group)
-                if group != first:
+            columns = np.array([means.of_groups({by: group}) for group in members])
+            matrices = means.at(columns)
+            values = self._values(columns)
+            for row, group in enumerate(members):
+                groups += self._effects(matrices[row], values[row], by=by, group=group)
+                if row > 0:
                     differences += self._effects(
-                        own - to,
-                        of_group - values,
+                        matrices[row] - matrices[0],
+                        values[row] - values[0],
                         tested=True,
                         by=by,
                         group=group,
-                        against=first,
+                        against=members[0],
                     )
         for along, unit in means.trends.items():
-            to = means.at(means.along_trend(along)) - means.at(0 * nothing)
-            change = self.slopes @ to @ means.estimate
-            trend += self._effects(to, change, tested=True, by=along, per=unit)
+            matrix = means.at(means.along_trend(along)) - means.at(0 * at_all)
+            change = self.slopes @ matrix @ means.estimate
+            trend += self._effects(matrix, change, tested=True, by=along, per=unit)
         return groups, differences, trend
 
     def slopes_of_groups(
@@ -382,7 +386,7 @@ class _Quantities(NamedTuple):
 
     def _effects(
         self,
-        to: Floats,
+        matrix: Floats,
         values: Floats,
         *,
         tested: bool = False,
@@ -390,33 +394,45 @@ class _Quantities(NamedTuple):
         by: str = "",
         **about: str,
     ) -> list[Effect]:
-        """Values whose changes are the slopes times `to`, a matrix, times those of
-        the estimate."""
-        matrix, dof, made = self.slopes @ to, self.means.dof, []
-        variances = np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix)
+        """Records of values that move with the numbers of the mean.
+
+        Parameters
+        ----------
+        matrix : parameters of the mean by its numbers: times the slopes, the
+            derivatives of the values.
+        tested : whether zero is told from the values, by Student's t.
+        per : unit of what the values are changes along.
+        """
+        dof = self.means.dof
+        slopes = self.slopes @ matrix
+        variances = np.einsum("ij,jk,ik->i", slopes, self.means.covariance, slopes)
         errors = np.sqrt(np.maximum(variances, 0.0))
         if not tested:
             errors = np.maximum(errors, self.least)
+        effects = []
         for row, (name, unit) in enumerate(self.units.items()):
-            value, error = float(values[row]), float(errors[row])
-            p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
-            unit = unit if per == "1" else f"{unit}/{per}"
-            samples = value + self.off @ matrix[row] if len(self.off) else None
-            quantiles = {} if samples is None else quantiles_of(samples)
-            made.append(
+            value = float(values[row])
+            error = float(errors[row])
+            p_value = None
+            if tested and error:
+                p_value = 2 * float(stdtr(dof, -abs(value) / error))
+            quantiles: Quantiles = {}
+            if len(self.off):
+                quantiles = quantiles_of(value + self.off @ slopes[row])
+            effects.append(
                 Effect(
                     name,
                     value,
                     error,
                     dof,
-                    p,
+                    p_value,
                     by,
-                    unit=unit,
+                    unit=unit if per == "1" else f"{unit}/{per}",
                     quantiles=quantiles,
                     **about,
                 )
             )
-        return made
+        return effects
 
 
 def _slope_differences(

@@ -31,17 +31,19 @@ def weights_of_known(
 ) -> dict[str, Floats]:
     """Weights of parameters in the coefficients that are determined, and
     in combinations."""
-    in_combinations = {name for item in combinations for name in item.weights}
-    weights_by_name: dict[str, Mapping[str, float]] = {}
+    in_combinations = {
+        name for combination in combinations for name in combination.weights
+    }
+    weights_by_expression: dict[str, Mapping[str, float]] = {}
     for name, verdict in verdicts.items():
         is_weak = verdict == Verdict.WEAK and name not in in_combinations
         if verdict == Verdict.DETERMINED or is_weak:
-            weights_by_name[name] = {name: 1.0}
-    for item in combinations:
-        weights_by_name[item.expression] = item.weights
+            weights_by_expression[name] = {name: 1.0}
+    for combination in combinations:
+        weights_by_expression[combination.expression] = combination.weights
     return {
         expression: np.array([weights.get(name, 0.0) for name in names])
-        for expression, weights in weights_by_name.items()
+        for expression, weights in weights_by_expression.items()
     }
 
 
@@ -64,18 +66,19 @@ def variations_of(
     variations = {}
     for expression, of_sum in weights.items():
         errors = errors_by_rows(jointly, of_sum, alone.typical)
-        estimates = alone.estimates(expression, of_sum)
-        each: list[tuple[float, float] | None] = []
+        estimates: list[tuple[float, float] | None] = []
         shares = []
-        for estimate, error in zip(estimates, errors, strict=True):
+        for estimate, error in zip(
+            alone.estimates(expression, of_sum), errors, strict=True
+        ):
             if estimate is None or error is None:
-                each.append(None)
+                estimates.append(None)
             else:
-                each.append(estimate)
+                estimates.append(estimate)
                 shares.append(error**-2)
         if len(shares) > 1 + covariates.shape[1]:
             variations[expression] = _variation(
-                expression, each, np.array(shares), covariates
+                expression, estimates, np.array(shares), covariates
             )
     return variations
 
@@ -100,8 +103,8 @@ class Varying(NamedTuple):
         """What enough throws tell of within the joint fit."""
         first_spreads = {}
         for expression, of_sum in weights.items():
-            errors_or_none = errors_by_rows(jointly, of_sum, typical)
-            errors = [error for error in errors_or_none if error is not None]
+            error_by_throw = errors_by_rows(jointly, of_sum, typical)
+            errors = [error for error in error_by_throw if error is not None]
             if len(errors) >= _FEWEST:
                 least = _LEAST_SPREAD * float(np.median(errors))
                 variation = variations.get(expression)
@@ -115,7 +118,7 @@ class Varying(NamedTuple):
 
 def _variation(
     expression: str,
-    each: Sequence[tuple[float, float] | None],
+    estimate_by_throw: Sequence[tuple[float, float] | None],
     shares: Floats,
     covariates: Floats,
 ) -> Variation:
@@ -123,45 +126,73 @@ def _variation(
 
     Parameters
     ----------
-    each : estimate and standard error from each throw; None where it gives none.
+    estimate_by_throw : estimate and standard error from each throw; None where it
+        gives none.
     shares : weights in the joint fit of the throws that give one.
     covariates : on which it depends, with mean zero, shape (throws, covariates).
     """
     from scipy.optimize import brentq  # slow to load
 
-    gives_one = [pair is not None for pair in each]
-    estimate, stderr = np.array([pair for pair in each if pair is not None]).T
-    design = np.column_stack([np.ones(len(stderr)), covariates[gives_one]])
-    degrees = len(stderr) - np.linalg.matrix_rank(design)
-    variance = stderr**2
-
-    def fitted(between: float) -> tuple[float, float, float]:
-        """Mean of the throws and its variance, and chi squared about the regression on
-        the covariates, where throws have a variance `between` them."""
-        root = (variance + between) ** -0.5
-        inverse = np.linalg.pinv(design * root[:, None])
-        solution = inverse @ (estimate * root)
-        residual = (estimate - design @ solution) * root
-        of_mean = (inverse[0] ** 2).sum()
-        return float(solution[0]), float(of_mean), float(residual @ residual)
-
-    _, _, q = fitted(0.0)
-    between = 0.0
+    gives_estimate = [estimate is not None for estimate in estimate_by_throw]
+    given = np.array([pair for pair in estimate_by_throw if pair is not None])
+    regression = _Regression(
+        values=given[:, 0],
+        variances=given[:, 1] ** 2,
+        design=np.column_stack([np.ones(len(given)), covariates[gives_estimate]]),
+    )
+    degrees = len(given) - np.linalg.matrix_rank(regression.design)
+    q = regression.fitted(0.0).chi_squared
+    between = 0.0  # variance between throws
     if q > degrees:
-        high = float(estimate.var())
-        while fitted(high)[2] > degrees:
+        high = float(regression.values.var())
+        while regression.fitted(high).chi_squared > degrees:
             high *= 2
         between = brentq(
-            lambda variance: fitted(variance)[2] - degrees, 0.0, high, xtol=1e-300
+            lambda variance: regression.fitted(variance).chi_squared - degrees,
+            0.0,
+            high,
+            xtol=1e-300,
         )
-    mean, variance_of_mean, _ = fitted(between)
+    fit = regression.fitted(between)
     share = shares / shares.sum()
+    variance_of_shared = share**2 @ (regression.variances + between)
     return Variation(
         expression=expression,
-        each=tuple(each),
+        each=tuple(estimate_by_throw),
         p_value=float(chdtrc(degrees, q)),
         spread=float(np.sqrt(between)),
-        mean=mean,
-        stderr=float(np.sqrt(variance_of_mean)),
-        shared_stderr=float(np.sqrt(share**2 @ (variance + between))),
+        mean=fit.mean,
+        stderr=float(np.sqrt(fit.variance_of_mean)),
+        shared_stderr=float(np.sqrt(variance_of_shared)),
     )
+
+
+class _RegressionFit(NamedTuple):
+    """Estimates of throws on their covariates, for some variance between throws."""
+
+    mean: float
+    variance_of_mean: float
+    chi_squared: float
+    """of the estimates about the regression"""
+
+
+class _Regression(NamedTuple):
+    """Estimates of throws and what they depend on."""
+
+    values: Floats
+    """of the throws, shape (throws,)"""
+    variances: Floats
+    """squared standard errors, shape (throws,)"""
+    design: Floats
+    """a column of ones and the covariates, shape (throws, 1 + covariates)"""
+
+    def fitted(self, between: float) -> _RegressionFit:
+        """By weighted least squares, where throws have a variance `between` them."""
+        root = (self.variances + between) ** -0.5
+        inverse = np.linalg.pinv(self.design * root[:, None])
+        solution = inverse @ (self.values * root)
+        residual = (self.values - self.design @ solution) * root
+        variance_of_mean = (inverse[0] ** 2).sum()
+        return _RegressionFit(
+            float(solution[0]), float(variance_of_mean), float(residual @ residual)
+        )
