@@ -212,8 +212,8 @@ def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Any:
 def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
     """Derivatives of the result of `predict_many` by the parameters, (throws, 5
     or 6, n, p)."""
-    found = np.asarray(_slopes_of_channels(*_of_path(model, values, problems)))
-    return found[..., model.columns(values.shape[-1])]
+    slopes = np.asarray(_slopes_of_channels(*_of_path(model, values, problems)))
+    return slopes[..., model.columns(values.shape[-1])]
 
 
 def _unpadded_times(problem: Problem) -> Array:
@@ -245,7 +245,8 @@ def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
     # Positions alone take half the time, but cannot be differentiated by the times.
     if len(problem.observed) == 3 and "time_scale" not in model.conditions:
         system = System.of(model, values, problem.stone, problem.environment)
-        start, scale = system.start, system.length_scale
+        start = system.start
+        scale = system.length_scale
         # Friction alone is faster; without such a parameter the ice is level and
         # the air still.
         forces = _forces(model, system) if model.has_environment else None
@@ -271,15 +272,15 @@ def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Ar
     """Residuals of throws, shape (throws, channels, n), and their Jacobian by the
     parameters; both whitened, but not transformed by a loss."""
 
-    def one(values: Array, problem: Problem) -> tuple[Array, Array]:
-        def residual(values: Array) -> tuple[Array, Array]:
-            found = _whitened_residuals(model, values, problem)
-            return found, found
+    def of_throw(values: Array, problem: Problem) -> tuple[Array, Array]:
+        def residual_twice(values: Array) -> tuple[Array, Array]:
+            residual = _whitened_residuals(model, values, problem)
+            return residual, residual  # to be differentiated, and as it is
 
-        return jax.jacfwd(residual, has_aux=True)(values)
+        return jax.jacfwd(residual_twice, has_aux=True)(values)
 
-    jacobian, found = over_stack(one, values, problems)
-    return found, jacobian
+    jacobians, residuals = over_stack(of_throw, values, problems)
+    return residuals, jacobians
 
 
 def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
@@ -302,15 +303,15 @@ def log_posterior(
     inside = ((values >= lower) & (values <= upper)).all(-1)
     # No path is computed outside the bounds: it could hold up all the others.
     safe = jnp.clip(values, lower, upper)
-    value = jax.vmap(lambda one: log_likelihood(model, one, problem))(safe)
+    value = jax.vmap(lambda vector: log_likelihood(model, vector, problem))(safe)
     value = value - 0.5 * penalty.chi_squared(safe)
     return jnp.where(inside, value, -jnp.inf)
 
 
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
-    found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    return (jax.vmap(_signed_root)(found, problems.loss) ** 2).sum((1, 2))
+    residuals = jax.vmap(partial(_whitened_residuals, model))(values, problems)
+    return (jax.vmap(_signed_root)(residuals, problems.loss) ** 2).sum((1, 2))
 
 
 def chi_squared_of_many(
@@ -323,8 +324,12 @@ def chi_squared_of_many(
     if batch > 1:
         program = partial(_chi_squared, model)
         return np.asarray(in_batches(program, (values, problems), batch))
-    found = whitened_residuals_of_many(model, values, problems, batch)
-    roots = [_signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
+    # of one throw: the program of its path is there already
+    residuals = whitened_residuals_of_many(model, values, problems, batch)
+    roots = [
+        _signed_root(residual, loss)
+        for residual, loss in zip(residuals, problems.loss, strict=True)
+    ]
     return (np.array(roots) ** 2).sum((1, 2))
 
 
@@ -339,5 +344,10 @@ def whitened_residuals_of_many(
     ) * problems.weight
     if problems.whitener is None:
         return residual
-    pairs = zip(residual, unstacked(problems.whitener), strict=True)
-    return np.array([whitened(*pair) for pair in pairs])
+    whiteners = unstacked(problems.whitener)
+    return np.array(
+        [
+            whitened(of_throw, whitener)
+            for of_throw, whitener in zip(residual, whiteners, strict=True)
+        ]
+    )

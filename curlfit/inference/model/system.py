@@ -74,11 +74,11 @@ def _replaced(record: Any, values: dict[str, Any]) -> Any:
 def assumed_conditions(model: Model, problems: Problem) -> Floats:
     """Values of the model's conditions assumed for many throws, shape
     (throws, conditions)."""
-    found = np.ones((len(problems.times), len(model.conditions)))
+    assumed = np.ones((len(problems.times), len(model.conditions)))
     known = vars(problems.stone) | vars(problems.environment)
     for column, name in enumerate(model.conditions):
-        found[:, column] = known.get(name, 1.0)
-    return found
+        assumed[:, column] = known.get(name, 1.0)
+    return assumed
 
 
 def motions(
@@ -87,10 +87,10 @@ def motions(
     """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and
     omega, of shape (vectors, 6, times), and times of rest. One program serves any
     number of vectors."""
-    found: tuple[Floats, Floats] = in_batches(
-        lambda some: _motions(model, some, stone, environment, times), (values,)
+    states_and_rests: tuple[Floats, Floats] = in_batches(
+        lambda vectors: _motions(model, vectors, stone, environment, times), (values,)
     )
-    return found
+    return states_and_rests
 
 
 def prepare_motions(
