@@ -221,7 +221,7 @@ MARKS = st.sampled_from(["`", '"', "'", "\\", "=", ",", ":", "--law ", "1e999", 
 TYPED = st.lists(MARKS | st.text(max_size=6), max_size=8).map("".join)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(flag=st.sampled_from(sorted(FIT)), text=TYPED)
 def test_any_line_is_taken_or_refused(flag, text):
     for written in (

@@ -162,6 +162,7 @@ def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
     assert item.log_likelihood == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_true_law_is_found_among_all():
     law = "semi-empirical"
     throw = curlfit.synthetic_throw(

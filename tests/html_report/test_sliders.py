@@ -150,9 +150,9 @@ def test_a_hostile_file_name_is_text(fit):
 
 
 def test_a_fit_without_a_path_is_refused():
-    (throw, *_) = curlfit.load_throws(EVENING)
-    fit = curlfit.fit_together(curlfit.load_throws(EVENING)).throws[0]
+    throw = curlfit.load_throws(EVENING)[0]
     assert throw.events
+    fit = curlfit.fit(throw, "coulomb", details=False)
     with pytest.raises(InputError, match="timed events alone has no path"):
         curlfit.explore(fit)
 

@@ -27,6 +27,19 @@ def fit_of(file: str, law: str) -> curlfit.FitResult:
     return curlfit.fit(throw, law, sigma=NOISE, details=False)
 
 
+@cache
+def fits_at_spins(
+    file: str, law: str, lowest: float, highest: float, number: int = 60
+) -> dict[float, curlfit.FitResult]:
+    """The fits of a throw at spins that are held."""
+    throw = curlfit.load_throw(FOLDER / file)
+    fits = {}
+    for spin in np.geomspace(lowest, highest, number).tolist():
+        fix = {"omega0": spin}
+        fits[spin] = curlfit.fit(throw, law, sigma=NOISE, fix=fix, details=False)
+    return fits
+
+
 class AtSpins(NamedTuple):
     """A coefficient and the probability where the spin is held, for a flat prior."""
 
@@ -36,19 +49,18 @@ class AtSpins(NamedTuple):
     densities: np.ndarray
 
     @classmethod
-    def of(cls, file: str, law: str, name: str, spins: np.ndarray) -> "AtSpins":
+    def of(cls, fits: dict[float, curlfit.FitResult], name: str) -> "AtSpins":
         """By a fit at each of the spins."""
-        throw = curlfit.load_throw(FOLDER / file)
-        values, errors, logs = [], [], []
-        for spin in spins:
-            fix = {"omega0": float(spin)}
-            fit = curlfit.fit(throw, law, sigma=NOISE, fix=fix, details=False)
-            values.append(fit[name].value)
-            errors.append(fit[name].stderr)
+        logs = []
+        for fit in fits.values():
             _, log_volume = np.linalg.slogdet(fit.covariance.matrix)
             logs.append((log_volume - fit.chi_squared) / 2)
-        densities = np.exp(np.array(logs) - max(logs))
-        return cls(spins, np.array(values), np.array(errors), densities)
+        return cls(
+            spins=np.array([*fits]),
+            values=np.array([fit[name].value for fit in fits.values()]),
+            errors=np.array([fit[name].stderr for fit in fits.values()]),
+            densities=np.exp(np.array(logs) - max(logs)),
+        )
 
     def quantiles(self, levels: tuple[float, ...]) -> np.ndarray:
         """Of the coefficient."""
@@ -62,11 +74,12 @@ class AtSpins(NamedTuple):
         return np.quantile(values + errors * random.standard_normal(200_000), levels)
 
 
+@pytest.mark.slow
 def test_the_posterior_leads_along_the_whole_ridge():
     """b, from 0.007 to 0.86, is a constant over the spin."""
     fit = fit_of("no_angle_transverse_2.csv", "power+transverse")
-    spins = np.geomspace(0.056, 12.5, 60)
-    about = AtSpins.of("no_angle_transverse_2.csv", "power+transverse", "b", spins)
+    fits = fits_at_spins("no_angle_transverse_2.csv", "power+transverse", 0.056, 12.5)
+    about = AtSpins.of(fits, "b")
     expected = about.quantiles((0.025, 0.16, 0.5, 0.84, 0.975))
     fit, chain = curlfit.sample(fit, seed=1, effective=2000)
     assert fit.posterior.converged
@@ -77,6 +90,7 @@ def test_the_posterior_leads_along_the_whole_ridge():
     assert np.ptp(np.quantile(product, (0.16, 0.84))) < 0.1 * np.median(product)
 
 
+@pytest.mark.slow
 def test_the_posterior_holds_both_solutions():
     """Turning the other way with the opposite sign of f0 leads along the same path."""
     fit = fit_of("no_angle_angular.csv", "power-angular")
@@ -94,16 +108,18 @@ def test_draws_without_a_chain_are_those_of_the_posterior():
     values, effective = draws_along_ridge(fit, 2000, np.random.default_rng(0))
     assert effective > 2000
     spin = values[:, list(fit.parameters).index("omega0")]
-    spins = np.geomspace(0.4, 12.0, 60)
-    about = AtSpins.of("no_angle_pivot.csv", "power+pivot", "q", spins)
+    about = AtSpins.of(
+        fits_at_spins("no_angle_pivot.csv", "power+pivot", 0.4, 12.0), "q"
+    )
     q = values[:, list(fit.parameters).index("q")]
     levels = (0.025, 0.16, 0.5, 0.84, 0.975)
     assert np.quantile(q, levels) == pytest.approx(about.quantiles(levels), rel=0.1)
-    below = about.densities * np.gradient(spins)
-    median = np.interp(0.5, np.cumsum(below) / below.sum(), spins)
+    below = about.densities * np.gradient(about.spins)
+    median = np.interp(0.5, np.cumsum(below) / below.sum(), about.spins)
     assert np.median(spin) == pytest.approx(median, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_fit_whose_law_stays_open_is_sampled_without_a_fault():
     """Of a stone thrown without spin; many steps would be needed."""
     throw = curlfit.load_throw(FOLDER / "no_spin_fcv1.csv")
@@ -118,16 +134,14 @@ def test_a_fit_whose_law_stays_open_is_sampled_without_a_fault():
 def test_the_evidence_is_that_of_all_spins():
     fit = fit_of("no_angle_pivot.csv", "power+pivot")
     likelihood = sum(log_likelihood(fit).values())
-    throw = curlfit.load_throw(FOLDER / "no_angle_pivot.csv")
-    spins = np.geomspace(0.4, 12.0, 60)
+    fits = fits_at_spins("no_angle_pivot.csv", "power+pivot", 0.4, 12.0)
     logs = []
-    for spin in spins:
-        fix = {"omega0": float(spin)}
-        held = curlfit.fit(throw, "power+pivot", sigma=NOISE, fix=fix, details=False)
-        own = sum(log_likelihood(held).values())
-        logs.append(log_evidence(replace(held, ridge=()), own))
+    for held in fits.values():
+        likelihood_held = sum(log_likelihood(held).values())
+        logs.append(log_evidence(replace(held, ridge=()), likelihood_held))
     highest = max(logs)
-    expected = highest + np.log(np.trapezoid(np.exp(np.array(logs) - highest), spins))
+    densities = np.exp(np.array(logs) - highest)
+    expected = highest + np.log(np.trapezoid(densities, [*fits]))
     assert log_evidence(fit, likelihood) == pytest.approx(expected, abs=0.05)
 
 
@@ -151,6 +165,7 @@ def test_bands_without_a_chain_are_drawn_along_the_ridge(given):
     assert "bands-along-curve" in {note.code for note in prediction.notes}
 
 
+@pytest.mark.slow
 def test_two_times_tell_the_time_to_rest_and_no_speed():
     """Each exponent fits; the time is the sum of two that were measured to 0.1 s."""
     fit = curlfit.fit(curlfit.load_throw(FOLDER / "two_times.txt"), "power")
