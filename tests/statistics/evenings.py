@@ -128,9 +128,12 @@ def weight_of(law: str, coefficients: Mapping[str, float], w: float) -> float:
 
 def draw_to_the_tee(law: str, coefficients: Mapping[str, float], turns: float) -> Draw:
     """The draw that rests at the tee and has turned by some rad."""
+    v = 2.2
     w = turns / 25.0
-    for _ in range(4):
-        draw = thrown(law, coefficients, weight_of(law, coefficients, w), w)
+    # distance goes nearly with v^2, the angle with the spin: to 1 mm and 1e-4 rad
+    for _ in range(8):
+        draw = thrown(law, coefficients, v, w)
+        v *= np.sqrt(HOG_TO_TEE / (HOG_TO_TEE + draw.rest))
         w *= turns / draw.turns
     return draw
 
