@@ -226,7 +226,9 @@ def load_discrimination(file: str | PathLike[str]) -> Discrimination:
     return Discrimination.read(file)
 
 
-def print_discrimination(found: Discrimination, console: Console | None = None) -> None:
+def print_discrimination(
+    discrimination: Discrimination, console: Console | None = None
+) -> None:
     """Print the report of throws that decide between laws.
 
     Examples
@@ -235,7 +237,7 @@ def print_discrimination(found: Discrimination, console: Console | None = None) 
     front-back and power+pivot, uniform load: throws that decide between laws
     ...
     """
-    show(document(found), console)
+    show(document(discrimination), console)
 
 
 def document(discrimination: Discrimination) -> Document:
