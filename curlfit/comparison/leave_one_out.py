@@ -103,7 +103,7 @@ def leave_one_out(
     step[free] = _STEP / np.maximum(precision_alone, 1 / parameters.typical[free])
 
     def weighted_path(values: Floats) -> Floats:
-        path = np.asarray(predict_channels(model, values, problem))[:channels, :n]
+        path = predict_channels(model, values, problem)[:channels, :n]
         return np.where(measured, path * weight, 0.0)
 
     residual = problem.observed[:, :n] * weight - weighted_path(result.values)

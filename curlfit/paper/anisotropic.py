@@ -347,7 +347,7 @@ def eq_27(studies: Any) -> Judged:
     def path_under(law: type[Law]) -> Floats:
         """x, y, phi and further channels, shape (channels, TIMES)."""
         channels = predict_channels(Model(law, Load.UNIFORM), start, problem)
-        return np.asarray(channels)[:, : len(TIMES)]
+        return channels[:, : len(TIMES)]
 
     stepwise = path_under(FrontBackFirstOrder)
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, _SPEED, 1.0, TIMES)

@@ -290,8 +290,7 @@ def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
     rows = len(fit.request.throw)
 
     def path(values: Floats) -> Floats:
-        channels = predict_channels(fit.model, values, fit.problem)
-        return np.asarray(channels)[:, :rows]
+        return predict_channels(fit.model, values, fit.problem)[:, :rows]
 
     # A parameter may be fixed for lack of a channel that depends on it.
     fixed = parameters.lower >= parameters.upper

@@ -117,7 +117,7 @@ class _Residuals(NamedTuple):
         n = len(fit.request.throw)
         free = fit.request.parameters.free
         weight = np.asarray(fit.problem.weight)[:, :n]
-        path = np.asarray(predict_channels(fit.model, fit.solution.values, fit.problem))
+        path = predict_channels(fit.model, fit.solution.values, fit.problem)
         t = np.asarray(fit.problem.times)[:n]
         speed = path[CHANNELS.index("speed"), :n]
         jacobian = np.asarray(fit.solution.jacobian)[:, :n]

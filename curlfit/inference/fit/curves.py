@@ -63,10 +63,10 @@ class CurveModel:
             self._model, values[None], stacked([self._problem]), batch=1
         )
         number = len(self.fit.observed["t"])
-        computed = dict(zip(CHANNELS, np.asarray(rows)[:, :number], strict=True))
+        computed = dict(zip(CHANNELS, rows[:, :number], strict=True))
         return Curves(
             self._t,
-            dict(zip(CHANNELS, np.asarray(path), strict=True)),
+            dict(zip(CHANNELS, path, strict=True)),
             {name: self.fit.observed[name] - computed[name] for name in self.fit.rms},
             float(chi_squared),
         )

@@ -130,7 +130,7 @@ class _Path:
             problem = with_condition_off(problem, condition, by)._replace(
                 events=problem.events
             )
-        path = np.asarray(predict_channels(self._model, values, problem))
+        path = predict_channels(self._model, values, problem)
         x, y, phi, speed, _ = path[:5]
         # The only event, in the row after the channels, is the rest.
         rest = math.inf if problem.events is None else float(path[5, 0])
