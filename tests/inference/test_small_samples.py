@@ -14,9 +14,9 @@ from scipy.stats import binomtest, chi2, f, t
 import curlfit
 from curlfit.errors import Option
 from curlfit.inference.fit.caveats import of_outliers
-from curlfit.inference.fit.covariance import FitCovariance
 from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.fit.fit_covariance import FitCovariance
 from curlfit.inference.fit.residuals import outliers_of
 from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.losses import LINEAR

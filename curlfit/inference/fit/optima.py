@@ -10,12 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import (
-    FitCovariance,
-    Sigmas,
-    robust_jacobians,
-    with_others,
-)
 from curlfit.inference.fit.departures import (
     NO_DEPARTURES,
     Departures,
@@ -25,6 +19,12 @@ from curlfit.inference.fit.departures import (
     departures_together,
     probes_about,
     to_be_held,
+)
+from curlfit.inference.fit.fit_covariance import (
+    FitCovariance,
+    Sigmas,
+    robust_jacobians,
+    with_others,
 )
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, penalties
@@ -178,8 +178,8 @@ class Optima:
     @cached_property
     def covariances(self) -> list[FitCovariance]:
         """Covariance of each throw."""
-        information = self._information.whole
-        estimator = self._information
+        search = self._information
+        estimator = search  # its normal equations are those of the estimates
         if self._loss.is_robust:
             jacobians = robust_jacobians(
                 self._problems, self._solutions, self.residuals, self._loss
@@ -199,7 +199,7 @@ class Optima:
                 total=counts[row].sum() if self._common is None else counts.sum(),
             )
             covariance = FitCovariance.of_fit(
-                information.at(row),
+                search.whole.at(row),
                 estimator.whole.at(row),
                 without_priors,
                 fit.solution.jacobian,

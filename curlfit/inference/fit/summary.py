@@ -13,7 +13,6 @@ from curlfit.foreign import counted
 from curlfit.inference.derived.derive import derive
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.change_points import with_change
-from curlfit.inference.fit.covariance import FitCovariance
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.entries import (
     DataOfFit,
@@ -23,6 +22,7 @@ from curlfit.inference.fit.entries import (
     Outlier,
 )
 from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
+from curlfit.inference.fit.fit_covariance import FitCovariance
 from curlfit.inference.fit.optima import Optima, RidgesTogether
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import linearized

@@ -73,10 +73,10 @@ def combinations_of(
 
     These are sums that do not move along the directions that are not determined, nor
     along those that are loosely. First they are sought as sums with whole weights, for
-    which parts of 5 % in a loose direction, and of a weight, are forgiven. Where such a
-    sum moves along a null direction after all, or where the loose directions make up
-    more than half of its variance, the sums are taken with weights as they are, but for
-    simple ratios.
+    which parts of 5 % in a loose direction, and of a weight, are forgiven: with weights
+    of 1 and 1.03, a + b is said. Where such a sum moves along a null direction after
+    all, or where the loose directions make up more than half of its variance, the sums
+    are taken with weights as they are, but for simple ratios.
 
     Parameters
     ----------

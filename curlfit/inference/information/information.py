@@ -1,12 +1,15 @@
 """The noun: what data say of parameters to first order about some values.
 
-Methods act along the leading axes of a stack, but for `open`: the likelihoods of a
-thousand throws are a thousand rows of one array, not a thousand objects.
+Methods act along the leading axes of a stack: the likelihoods of a thousand throws are
+a thousand rows of one array, not a thousand objects. `open` and `along_axes` take one
+information; `together` and `of_others` add up a stack along its first axis.
 
 Which parameters can move has four words here. A parameter is *free* unless its bounds
 are equal, which fixes it; *at its bound* where the data push it against that; *movable*
 unless that push, however weak, keeps it; and *open* if it is free and no bound holds
-it. Parameters that cannot move keep their columns: what counts them too says so.
+it. Errors and verdicts of a fit are those of its open parameters; `Covariance.of` finds
+them, by `without_confined`, `at_bound` and `open` in this order. Parameters that cannot
+move keep their columns: what counts them too says so.
 """
 
 from __future__ import annotations
@@ -47,8 +50,8 @@ class Information:
     values, lower, upper : of the parameters and their bounds, shape (..., parameters);
         one with equal bounds is fixed.
     typical : sizes of the parameters, shape (parameters,).
-    rows : R in typical sizes with the residual r as the last column, errors are one;
-        shape (..., rows, parameters + 1).
+    rows : R in typical sizes with the residual r as the last column; the error of each
+        row is one. Shape (..., rows, parameters + 1).
     """
 
     names: tuple[str, ...]

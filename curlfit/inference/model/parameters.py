@@ -169,8 +169,8 @@ class ParameterSet:
         }
         measured = {event.quantity for event in throw.events}
         turning = bool({"phi", "omega"} & ({*throw.seen} | measured))
-        held = choices.get("fix") or ()
-        if not turning and "omega0" not in named and "omega0" not in held:
+        fixed = choices.get("fix") or ()
+        if not turning and "omega0" not in named and "omega0" not in fixed:
             bounds = choices.get("bounds") or {}
             choices["bounds"] = {**bounds, **BOUNDS_WITHOUT_ANGLE}
         parameters = cls.build(law, **choices)
