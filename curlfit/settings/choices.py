@@ -410,7 +410,7 @@ class Estimation(Rows):
     usual: ClassVar = {"loss": "linear"}
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def of_parameters(self) -> dict[str, Any]:
         """The choices of parameters, as `ParameterSet.build` takes them."""
         return {**self.by_parameter, "unbounded": self.unbounded}
 

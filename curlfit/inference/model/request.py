@@ -101,7 +101,9 @@ class Request:
         cannot be used."""
         law = find_law(chosen.law)
         swept = chosen.swept is not None or others_swept
-        parameters = ParameterSet.for_throw(law, used, swept=swept, **chosen.parameters)
+        parameters = ParameterSet.for_throw(
+            law, used, swept=swept, **chosen.of_parameters
+        )
         require_names(chosen, parameters)
         of_fit: dict[str, Any] = {}
         if isinstance(chosen, Fitting):
@@ -184,7 +186,7 @@ def parameters_of_any(chosen: Modelling, *, others_swept: bool = False) -> Param
     Raises `InputError` for a choice that no throw can be fitted with."""
     swept = chosen.swept is not None or others_swept
     parameters = ParameterSet.build(
-        find_law(chosen.law), swept=swept, **chosen.parameters
+        find_law(chosen.law), swept=swept, **chosen.of_parameters
     )
     require_names(chosen, parameters)
     return parameters
