@@ -36,15 +36,17 @@ Progress = Callable[[float, int, float], None]
 
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
-_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
-# of all proposals, where fewer than a fifth along the ridge are accepted
+_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # shares where few ridge proposals are accepted
 _LEAST_ACCEPTANCE = 0.25
+"""Of all proposals, below which ensemble moves do most of the work: then fewer than a
+fifth of those along the ridge are accepted."""
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
-_EVERY = 2.0  # least time between two checkpoints, s
+_TRIES = 50  # rounds of proposals in which walkers of finite posterior are sought
 _FEWEST = 4  # steps that can be judged
 # probability beyond what a chain has reached, above which it has not converged
 _UNREACHED = 0.01
-_SHARE = 50  # of the time, in which checkpoints are written once
+_EVERY = 2.0  # least time between two checkpoints, s
+_TIMES_WRITING = 50  # least time between two checkpoints, in times that writing takes
 
 
 class SideBySide(emcee.moves.RedBlueMove):
@@ -52,18 +54,21 @@ class SideBySide(emcee.moves.RedBlueMove):
 
     def __init__(self, move: Any) -> None:
         super().__init__(randomize_split=False)  # halves of each ensemble
-        self.move, self.setup = move, move.setup
+        self.move = move
+        self.setup = move.setup
 
     def get_proposal(
         self, s: Floats, c: list[Floats], random: Any
     ) -> tuple[Floats, Floats]:
-        """Proposals for one half of each ensemble along lines through
-        its other half."""
+        """Proposals for one half of each ensemble (`s`) along lines through its other
+        half (in `c`), and the logarithms of their factors."""
+        coords = []
+        factors = []
         halves = zip(np.split(s, ENSEMBLES), np.split(c[0], ENSEMBLES), strict=True)
-        each = [
-            self.move.get_proposal(moving, [other], random) for moving, other in halves
-        ]
-        coords, factors = zip(*each, strict=True)
+        for moving, other in halves:
+            proposals, log_factors = self.move.get_proposal(moving, [other], random)
+            coords.append(proposals)
+            factors.append(log_factors)
         return np.concatenate(coords), np.concatenate(factors)
 
 
@@ -85,9 +90,12 @@ class Run:
 
     Attributes
     ----------
-    names, free : of the parameters, and which of them are sampled; those have the
-        bounds `lower` and `upper`. subject : what is sampled. proposal : from which
-        walkers begin.
+    names : of the parameters.
+    free : which of them are sampled.
+    lower, upper : bounds of the free parameters.
+    subject : what is sampled, see `subject_of`.
+    proposal : from which walkers begin.
+    mostly_ridge : whether most proposals are made along the ridge.
     """
 
     names: tuple[str, ...]
@@ -98,7 +106,8 @@ class Run:
     proposal: Proposal
 
     def __init__(self, seed: int, walkers: int) -> None:
-        self.seed, self._walkers = seed, walkers
+        self.seed = seed
+        self._walkers = walkers
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
@@ -108,23 +117,24 @@ class Run:
         raise NotImplementedError
 
     def whole(self, free_values: Floats) -> Floats:
-        """The values of all parameters."""
+        """The values of all parameters, from those of the free ones."""
         return free_values
 
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = emcee.moves.MHMove(partial(proposed, self.proposal))
-        stretch = SideBySide(emcee.moves.StretchMove())
-        differential = SideBySide(emcee.moves.DEMove(sigma=_JITTER))
+        moves = [
+            emcee.moves.MHMove(partial(proposed, self.proposal)),
+            SideBySide(emcee.moves.StretchMove()),
+            SideBySide(emcee.moves.DEMove(sigma=_JITTER)),
+        ]
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
-        moves = list(zip((ridge, stretch, differential), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
             self._walkers,
             int(self.free.sum()),
             self.log_prob,
             vectorize=True,
-            moves=moves,
+            moves=list(zip(moves, shares, strict=True)),
         )
         # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
         self._sampler.log_prob_fn = self.log_prob
@@ -156,21 +166,23 @@ class Run:
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         coords = self._first_walkers(random)
-        log_prob, state = self.log_prob(coords), random.get_state()
-        self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
+        self._last = emcee.State(
+            coords, log_prob=self.log_prob(coords), random_state=random.get_state()
+        )
 
     def _first_walkers(self, random: Any) -> Floats:
         """Initial positions drawn from the proposal, with finite posterior."""
-        lower, upper = self.lower, self.upper
-        found: list[Floats] = []
-        for _ in range(50):
+        lower = self.lower
+        upper = self.upper
+        walkers: list[Floats] = []
+        for _ in range(_TRIES):
             coords = self.proposal.draw(self._walkers, random)
             # Near a bound a proposal falls outside half the time; reflect it back.
-            folded = np.where(coords < lower, 2 * lower - coords, coords)
-            folded = np.where(folded > upper, 2 * upper - folded, folded)
-            found.extend(folded[np.isfinite(self.log_prob(folded))])
-            if len(found) >= self._walkers:
-                return np.array(found[: self._walkers])
+            coords = np.where(coords < lower, 2 * lower - coords, coords)
+            coords = np.where(coords > upper, 2 * upper - coords, coords)
+            walkers.extend(coords[np.isfinite(self.log_prob(coords))])
+            if len(walkers) >= self._walkers:
+                return np.array(walkers[: self._walkers])
         raise UnusableFitError("no point of finite posterior was found near the fit")
 
     def start_over(self) -> None:
@@ -209,7 +221,7 @@ class Run:
             return
         self.chain().save(file)
         after = monotonic()
-        self._next_write = after + max(_EVERY, _SHARE * (after - now))
+        self._next_write = after + max(_EVERY, _TIMES_WRITING * (after - now))
 
     def until(
         self,
@@ -228,15 +240,14 @@ class Run:
                     if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
                         self.start_over()
                         continue
-                    diagnosis = Diagnosis(
-                        chain.values[:, :, self.free], chain.ensembles
-                    )
+                    free_values = chain.values[:, :, self.free]
+                    diagnosis = Diagnosis(free_values, chain.ensembles)
                     if progress is not None:
                         progress(
                             diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
                         )
-                    kept = chain.flat[:, self.free]
-                    reaches_ends = self.proposal.unreached(kept) < _UNREACHED
+                    unreached = self.proposal.unreached(chain.flat[:, self.free])
+                    reaches_ends = unreached < _UNREACHED
                     if diagnosis.good(effective) and reaches_ends:
                         return CONVERGED, diagnosis
                     if self.steps >= most_steps:
@@ -256,19 +267,22 @@ class _OfFit(Run):
     """A chain about the optimum of a fit."""
 
     def __init__(self, fit: FitResult, seed: int) -> None:
-        self._density = PosteriorDensity(fit)
-        self.names, self.free = self._density.names, self._density.free
-        self.lower, self.upper = self._density.lower, self._density.upper
+        density = PosteriorDensity(fit)
+        self._density = density
+        self.names = density.names
+        self.free = density.free
+        self.lower = density.lower
+        self.upper = density.upper
         self.subject = subject_of(fit, seed)
         self.proposal = posterior_proposal(fit)
-        super().__init__(seed, 2 * self._density.batch)
+        super().__init__(seed, 2 * density.batch)
 
     def whole(self, free_values: Floats) -> Floats:
-        """The same with those that are held."""
+        """The values of all parameters, the fixed ones at their estimates."""
         return self._density.whole(free_values)
 
     def log_prob(self, free_values: Floats) -> Floats:
-        """That of the path's data."""
+        """Log-posterior of walkers, shape (walkers,)."""
         return self._density.log(free_values)
 
 
@@ -334,10 +348,11 @@ def sample(
         chain.save(file)
     sampled = summarised(fit, chain, ended, effective, diagnosis)
     sampled = replace(sampled, quantities=quantities_of(sampled, chain))
-    sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
+    expressions = [quantity.expression for quantity in fit.derived]
+    sampled = sampled.with_derived(expressions, chain)
     products = tuple(
-        replace(sampled.derive(item.expression, chain), meaning=item.meaning)
-        for item in fit.products
+        replace(sampled.derive(product.expression, chain), meaning=product.meaning)
+        for product in fit.products
     )
     sampled = replace(sampled, products=products)
     return sampled, replace(chain, fit=sampled)
