@@ -335,8 +335,8 @@ def subject_of_fit(
     load: str,
     stone: Stone,
     parameters: ParameterSet,
-    loss: str = "linear",
-    noise: str = "white",
+    loss: str,
+    noise: str,
 ) -> dict[str, str]:
     """What identifies a fit, as short texts by name; many numbers are
     replaced by digests."""

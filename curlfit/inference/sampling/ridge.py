@@ -422,6 +422,7 @@ def _along(fit: FitResult, axis: Axis) -> Proposal:
 
         density = _desired_density(parts, shares, widths)
         borders, density = _extended(borders, density, shares / widths, bounds)
+        # borders at which the cumulated density rises by as much in each interval
         below = np.cumsum([0.0, *density])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
         refitted = middles
@@ -460,9 +461,11 @@ def _extended(
     low = max(borders[0] - length, lower)
     high = min(borders[-1] + length, upper)
     if heights[0] > _ENDED * heights.max() and low < borders[0]:
-        borders, density = np.append(low, borders), np.append(share, density)
+        borders = np.append(low, borders)
+        density = np.append(share, density)
     if heights[-1] > _ENDED * heights.max() and high > borders[-1]:
-        borders, density = np.append(borders, high), np.append(density, share)
+        borders = np.append(borders, high)
+        density = np.append(density, share)
     return borders, density
 
 

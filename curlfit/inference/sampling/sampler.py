@@ -8,7 +8,7 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from curlfit.inference.sampling.emcee_alone import emcee
 from curlfit.inference.sampling.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.sampling.summary import (
     CONVERGED,
+    FEWEST_STEPS,
     Diagnosis,
     is_test_due,
     steps_to_discard,
@@ -42,7 +43,6 @@ _LEAST_ACCEPTANCE = 0.25
 fifth of those along the ridge are accepted."""
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _TRIES = 50  # rounds of proposals in which walkers of finite posterior are sought
-_FEWEST = 4  # steps that can be judged
 # probability beyond what a chain has reached, above which it has not converged
 _UNREACHED = 0.01
 _EVERY = 2.0  # least time between two checkpoints, s
@@ -84,60 +84,80 @@ def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -
     )
 
 
-class Run:
-    """An unfinished chain. It may be interrupted at any point: completed
-    steps are kept.
+class Density(Protocol):
+    """A log-density that can be sampled.
 
     Attributes
     ----------
     names : of the parameters.
     free : which of them are sampled.
     lower, upper : bounds of the free parameters.
-    subject : what is sampled, see `subject_of`.
-    proposal : from which walkers begin.
-    mostly_ridge : whether most proposals are made along the ridge.
     """
 
     names: tuple[str, ...]
     free: Booleans
     lower: Floats
     upper: Floats
-    subject: dict[str, str]
-    proposal: Proposal
 
-    def __init__(self, seed: int, walkers: int) -> None:
+    def whole(self, free_values: Floats) -> Floats:
+        """Values of all parameters from those of the free ones."""
+
+    def log(self, free_values: Floats) -> Floats:
+        """Log-density of walkers, shape (walkers,)."""
+
+
+class Run:
+    """An unfinished chain. It may be interrupted at any point: completed
+    steps are kept.
+
+    Attributes
+    ----------
+    seed : of the random numbers.
+    mostly_ridge : whether most proposals are made along the ridge.
+    """
+
+    def __init__(
+        self,
+        density: Density,
+        proposal: Proposal,
+        subject: dict[str, str],
+        seed: int,
+        walkers: int,
+    ) -> None:
+        """A run without steps.
+
+        Parameters
+        ----------
+        proposal : from which walkers begin, of points along the ridge.
+        subject : what is sampled, see `subject_of`.
+        """
+        self._density = density
+        self._proposal = proposal
+        self._subject = subject
         self.seed = seed
         self._walkers = walkers
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
 
-    def log_prob(self, free_values: Floats) -> Floats:
-        """Log-posterior of walkers, shape (walkers,)."""
-        raise NotImplementedError
-
-    def whole(self, free_values: Floats) -> Floats:
-        """The values of all parameters, from those of the free ones."""
-        return free_values
-
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
         moves = [
-            emcee.moves.MHMove(partial(proposed, self.proposal)),
+            emcee.moves.MHMove(partial(proposed, self._proposal)),
             SideBySide(emcee.moves.StretchMove()),
             SideBySide(emcee.moves.DEMove(sigma=_JITTER)),
         ]
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
         self._sampler = emcee.EnsembleSampler(
             self._walkers,
-            int(self.free.sum()),
-            self.log_prob,
+            int(self._density.free.sum()),
+            self._density.log,
             vectorize=True,
             moves=list(zip(moves, shares, strict=True)),
         )
         # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
-        self._sampler.log_prob_fn = self.log_prob
+        self._sampler.log_prob_fn = self._density.log
 
     @property
     def steps(self) -> int:
@@ -148,15 +168,14 @@ class Run:
         """Resume where a stored chain ended. Raises `DataError` if that is
         not possible."""
         chain = load_chain(file)
-        require_same(chain.subject, self.subject, file)
+        require_same(chain.subject, self._subject, file)
         if chain.random_state is None or not len(chain.values):
             raise DataError(
                 "cannot be resumed: the sampler's state is not in it", file=file
             )
         self.choose_moves(mostly_ridge=chain.mostly_ridge)
-        self._steps = list(
-            map(emcee.State, chain.values[..., self.free], chain.log_posterior)
-        )
+        free_values = chain.values[..., self._density.free]
+        self._steps = list(map(emcee.State, free_values, chain.log_posterior))
         self._steps[-1].random_state = chain.random_state
 
     def begin(self) -> None:
@@ -166,29 +185,25 @@ class Run:
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         coords = self._first_walkers(random)
+        log_prob = self._density.log(coords)
         self._last = emcee.State(
-            coords, log_prob=self.log_prob(coords), random_state=random.get_state()
+            coords, log_prob=log_prob, random_state=random.get_state()
         )
 
     def _first_walkers(self, random: Any) -> Floats:
         """Initial positions drawn from the proposal, with finite posterior."""
-        lower = self.lower
-        upper = self.upper
+        lower = self._density.lower
+        upper = self._density.upper
         walkers: list[Floats] = []
         for _ in range(_TRIES):
-            coords = self.proposal.draw(self._walkers, random)
+            coords = self._proposal.draw(self._walkers, random)
             # Near a bound a proposal falls outside half the time; reflect it back.
             coords = np.where(coords < lower, 2 * lower - coords, coords)
             coords = np.where(coords > upper, 2 * upper - coords, coords)
-            walkers.extend(coords[np.isfinite(self.log_prob(coords))])
+            walkers.extend(coords[np.isfinite(self._density.log(coords))])
             if len(walkers) >= self._walkers:
                 return np.array(walkers[: self._walkers])
         raise UnusableFitError("no point of finite posterior was found near the fit")
-
-    def start_over(self) -> None:
-        """Discard the steps so far as burn-in, and rely on the ensemble moves."""
-        self._steps = []
-        self.choose_moves(mostly_ridge=False)
 
     def step(self) -> None:
         """Do one step of all walkers."""
@@ -201,15 +216,15 @@ class Run:
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""
-        values = self.whole(np.stack([state.coords for state in self._steps]))
+        values = self._density.whole(np.stack([state.coords for state in self._steps]))
         return Chain(
-            names=self.names,
+            names=self._density.names,
             values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
             discarded=steps_to_discard(len(values)),
             ensembles=ENSEMBLES,
             seed=self.seed,
-            subject=self.subject,
+            subject=self._subject,
             random_state=self._steps[-1].random_state,
             mostly_ridge=self.mostly_ridge,
         )
@@ -232,21 +247,22 @@ class Run:
     ) -> tuple[str, Diagnosis | None]:
         """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the
         diagnosis of the chain, if it is known."""
+        free = self._density.free
         try:
             self.begin()
             while True:
                 if is_test_due(self.steps):
                     chain = self.chain()
                     if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
-                        self.start_over()
+                        self._steps = []  # they were burn-in
+                        self.choose_moves(mostly_ridge=False)
                         continue
-                    free_values = chain.values[:, :, self.free]
-                    diagnosis = Diagnosis(free_values, chain.ensembles)
+                    diagnosis = Diagnosis(chain.values[:, :, free], chain.ensembles)
                     if progress is not None:
                         progress(
                             diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
                         )
-                    unreached = self.proposal.unreached(chain.flat[:, self.free])
+                    unreached = self._proposal.unreached(chain.flat[:, free])
                     reaches_ends = unreached < _UNREACHED
                     if diagnosis.good(effective) and reaches_ends:
                         return CONVERGED, diagnosis
@@ -258,32 +274,9 @@ class Run:
                 self.step()
                 self.write_if_due(file)
         except KeyboardInterrupt:
-            if self.steps < _FEWEST:
+            if self.steps < FEWEST_STEPS:
                 raise
             return "stopped by the user", None
-
-
-class _OfFit(Run):
-    """A chain about the optimum of a fit."""
-
-    def __init__(self, fit: FitResult, seed: int) -> None:
-        density = PosteriorDensity(fit)
-        self._density = density
-        self.names = density.names
-        self.free = density.free
-        self.lower = density.lower
-        self.upper = density.upper
-        self.subject = subject_of(fit, seed)
-        self.proposal = posterior_proposal(fit)
-        super().__init__(seed, 2 * density.batch)
-
-    def whole(self, free_values: Floats) -> Floats:
-        """The values of all parameters, the fixed ones at their estimates."""
-        return self._density.whole(free_values)
-
-    def log_prob(self, free_values: Floats) -> Floats:
-        """Log-posterior of walkers, shape (walkers,)."""
-        return self._density.log(free_values)
 
 
 def sample(
@@ -335,7 +328,9 @@ def sample(
     True
     """
     require_fit(fit)
-    run = _OfFit(fit, seed)
+    density = PosteriorDensity(fit)
+    walkers = 2 * density.batch
+    run = Run(density, posterior_proposal(fit), subject_of(fit, seed), seed, walkers)
     file = None if checkpoint is None else Path(checkpoint)
     if resume:
         if file is None:

@@ -26,13 +26,14 @@ from curlfit.numerics.arrays import Floats
 CONVERGED = "converged"
 """How a run ended that reached its targets."""
 _BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
-_R_HAT = 1.01
+_R_HAT = 1.01  # the largest of a sample that has converged (sect. 4)
 # quantiles whose effective sample sizes are those of the tails (sect. 4.3)
 _TAILS = (0.05, 0.95)
 # steps over autocorrelation time, below which no estimate is trusted
 _SHORTEST_IN_TIMES = 30.0
 _FEWEST = 5  # draws of a chain whose autocorrelations say anything
-_FEWEST_STEPS = 4  # of a chain that can be judged
+FEWEST_STEPS = 4
+"""Steps of a chain from which on it can be judged."""
 
 
 def is_test_due(steps: int) -> bool:
@@ -177,7 +178,7 @@ def unfinished_posterior(
         chain = chain.with_fit(fit)
     except InputError:  # of the fit before this one
         return None
-    if len(chain.values) < _FEWEST_STEPS:
+    if len(chain.values) < FEWEST_STEPS:
         return None
     return replace(summarised(fit, chain, "not finished"), sampling="unfinished"), chain
 
