@@ -131,7 +131,7 @@ class Linearized(NamedTuple):
         return (self.jacobian.mT @ rows).sum(0)
 
     @property
-    def paid(self) -> Any:
+    def adjusted_responses(self) -> Any:
         """Derivatives of the path by the amplitudes while the parameters adjust."""
         return self.responses - self.jacobian @ self.coupling
 
@@ -174,8 +174,8 @@ class Regression(NamedTuple):
     """Regression of amplitudes' columns and residual on the parameters, over
     independent values."""
 
-    left: Any
-    """products of what is left of these columns"""
+    products: Any
+    """of what is left of these columns when the parameters are fitted to them"""
     precision: Any
     """of the directions"""
     held: Any
@@ -184,7 +184,7 @@ class Regression(NamedTuple):
     def log_likelihood(self, sizes: Any) -> Array:
         """Restricted log-likelihood of the sizes of a discrepancy, up to a constant."""
         by_parameters = jnp.linalg.slogdet(self.precision)[1] / 2
-        chi_squared = self.left[-1, -1]
+        chi_squared = self.products[-1, -1]
         if not len(sizes):
             return -by_parameters - chi_squared / 2
         lower, white, _ = self.posterior(sizes)
@@ -207,11 +207,11 @@ class Regression(NamedTuple):
 @compiled()
 def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
     root = amplitude_root(sizes, regression.held)
-    products = root.T @ regression.left[:-1, :-1] @ root
+    products = root.T @ regression.products[:-1, :-1] @ root
     # the prior precision of z; products of tiny noise have rounding errors above 1
     floor = 1 + _ROUNDING * jnp.trace(products)
     lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + products)
-    right = root.T @ regression.left[:-1, -1]
+    right = root.T @ regression.products[:-1, -1]
     return lower, solve_triangular(lower, right, lower=True), root
 
 

@@ -252,7 +252,7 @@ class _Search:
         parts = _parts(maximum.point, data)
         if self.number_of_sizes:
             amplitudes = self._at(maximum).mean(np.exp(parts.log_sizes))
-            residual = residual - np.asarray(data.paid) @ amplitudes
+            residual = residual - np.asarray(data.adjusted_responses) @ amplitudes
         series = zip(data.weight * residual, data.weight > 0, strict=True)
         has_size = ~self.free | (parts.log_scale > self.log_rms - _FAR)
         return has_size & [is_rough(values[seen]) for values, seen in series]

@@ -104,8 +104,8 @@ class Whitener(NamedTuple):
             root = amplitude_root(
                 _sizes_of(noise), data.held @ np.asarray(data.coupling)
             )
-            paid = _filtered(noise_filter, weight[..., None] * np.asarray(data.paid))
-            responses = paid @ root
+            adjusted = weight[..., None] * np.asarray(data.adjusted_responses)
+            responses = _filtered(noise_filter, adjusted) @ root
             responses -= basis @ (basis.T @ responses)
             left, singular, _ = np.linalg.svd(responses, full_matrices=False)
             directions[:, : len(singular)] = left
@@ -205,7 +205,9 @@ def posterior_mean(
     noise_filter = filter_of(noise, times, data.weight > 0)
     scale = scale_between(data.weight, weight)
     regression = regression_of(data, noise_filter, scale)
-    mean: Floats = np.asarray(data.paid) @ regression.mean(_sizes_of(noise))
+    mean: Floats = np.asarray(data.adjusted_responses) @ regression.mean(
+        _sizes_of(noise)
+    )
     return mean
 
 

@@ -46,10 +46,11 @@ class Chain(Displayed):
     ----------
     names : of the parameters, fixed ones included; of throws that vary, of what does:
         the mean, what groups and trends change, and the spread between throws.
-    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers);
-        NaN where unknown.
+    values : shape (steps, walkers, parameters).
+    log_posterior : shape (steps, walkers); NaN where unknown.
     discarded : number of initial steps left out.
-    ensembles : number of ensembles of equally many walkers. seed : of the run.
+    ensembles : number of ensembles of equally many walkers.
+    seed : of the random numbers.
     subject : what was sampled, see `subject_of`.
     random_state : of numpy's `RandomState` after the last step, for resuming; None
         where unknown.
