@@ -562,9 +562,8 @@ def _pivots(
     room = np.concatenate([upper + margin, margin - lower])
     finite = np.isfinite(room)
     extents = [_extent(null[:, pivot], walls[finite], room[finite]) for pivot in pivots]
-    low, high = np.clip(
-        np.array(extents).T.reshape(2, -1), lower[pivots], upper[pivots]
-    )
+    low = np.clip([least for least, _ in extents], lower[pivots], upper[pivots])
+    high = np.clip([most for _, most in extents], lower[pivots], upper[pivots])
     return np.array(pivots, int), low, high
 
 
