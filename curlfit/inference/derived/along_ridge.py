@@ -110,14 +110,14 @@ def is_seen_elsewhere(first_order: FirstOrder, slopes_at: SlopesAt) -> bool:
         return True
     values = first_order.values
     random = np.random.default_rng(0)
-    for step in random.standard_normal((_TRIES, len(space))) @ space:
+    for steps in random.standard_normal((_TRIES, len(space))) @ space:
         moved = dict(values)
-        for name, by in zip(first_order.names, step, strict=True):
+        for name, step in zip(first_order.names, steps, strict=True):
             estimate = first_order.parameters[name]
             lower = max(estimate.lower, -_NO_BOUND)
             upper = min(estimate.upper, _NO_BOUND)
-            stepped = values[name] + by * estimate.typical
-            moved[name] = min(max(stepped, lower), upper)
+            value = values[name] + step * estimate.typical
+            moved[name] = min(max(value, lower), upper)
         gradient = slopes_at(moved)
         is_finite = all(map(math.isfinite, gradient.values()))
         if is_finite and not first_order.sees(gradient):

@@ -36,13 +36,13 @@ def assessed(
 
     Parameters
     ----------
-    gradient : by the parameters. changes : for one width of each condition, at
-        fixed parameters.
-    seen : whether it is determined elsewhere along straight null directions as
-        well.
-    held_counts : whether dependence on a parameter at its bound leaves it
+    gradient : of the quantity, by the parameters.
+    changes : of the quantity for one width of each condition, at fixed parameters.
+    seen : whether the quantity is determined elsewhere along straight null directions
+        as well.
+    held_counts : whether dependence on a parameter at its bound leaves the quantity
         without an error.
-    along : what the ridge of the fit says of it, if there is one.
+    along : what the ridge of the fit says of the quantity, if there is one.
     """
     estimates = first_order.parameters
     free = [
@@ -134,4 +134,5 @@ def _degrees_of_freedom(
             degrees.append(combination.dof)
     if of_all:
         degrees += [estimate.dof for estimate in estimates.values()]
+    # None where sigma was given
     return min((dof for dof in degrees if dof is not None), default=None)

@@ -22,9 +22,10 @@ _LARGEST = 1e100  # of a value or a slope, so that its square is finite
 def check_derived(texts: Sequence[str], names: Sequence[str]) -> None:
     """Raise `InputError`, before a fit, for an expression that is not valid for
     its parameters."""
-    constants = [key for key in (*STONE_UNITS, *CONSTANTS) if key not in names]
+    # each once: a parameter may have the name of a constant
+    distinct = [*dict.fromkeys((*names, *STONE_UNITS, *CONSTANTS))]
     for text in texts:
-        parse(text, (*names, *constants), {})
+        parse(text, distinct, {})
 
 
 def derive(
@@ -44,17 +45,14 @@ def derive(
         derivative at the estimates.
     """
     values = first_order.values
-    constants = {
-        name: value
-        for name, value in {**CONSTANTS, **first_order.stone}.items()
-        if name not in values
-    }
+    constants = {**CONSTANTS, **first_order.stone}
     sums = {
         combination.expression: combination.weights
         for combination in first_order.combinations
     }
-    expression = parse(text, (*values, *constants), sums)
+    expression = parse(text, [*(values | constants)], sums)
 
+    # a parameter with the name of a constant takes its place
     def value_at(point: Mapping[str, float]) -> float:
         return float(expression.of({**constants, **point}))
 
@@ -65,17 +63,16 @@ def derive(
     value = value_at(values)
     gradient = expression.gradient({**constants, **values})
     by_parameter = {name: slope for name, slope in gradient.items() if name in values}
-    fault = ""
+    label = f"derive {quoted(expression.text)}"
     if not abs(value) < _LARGEST:
-        fault = "it has no finite value at the estimates"
-    elif not all(abs(slope) < _LARGEST for slope in gradient.values()):
-        fault = "it has no derivative at the estimates"
-    elif not by_parameter:
-        fault = "it contains no parameter of the fit; the parameters are " + ", ".join(
-            values
+        raise InputError(f"{label}: it has no finite value at the estimates")
+    if not all(abs(slope) < _LARGEST for slope in gradient.values()):
+        raise InputError(f"{label}: it has no derivative at the estimates")
+    if not by_parameter:
+        raise InputError(
+            f"{label}: it contains no parameter of the fit; the parameters are "
+            f"{', '.join(values)}"
         )
-    if fault:
-        raise InputError(f"derive {quoted(expression.text)}: {fault}")
     changes = {
         name: slope * first_order.widths[name]
         for name, slope in gradient.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from curlfit.foreign import quoted
 from curlfit.stone import GRAVITY
 
 _LONGEST = 400  # characters
+_LARGEST = 1e300  # number in an expression, close to what a float can hold
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _STEP = 1e-30  # imaginary, for derivatives
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
@@ -30,13 +31,13 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 def _real_if_constant(value: Any) -> Any:
     """The value as real if possible: NumPy multiplies out only integer powers
     of real type."""
-    return (
-        np.real(value) if np.isrealobj(value) or not np.any(np.imag(value)) else value
-    )
+    is_real = np.isrealobj(value) or not np.any(np.imag(value))
+    return np.real(value) if is_real else value
 
 
-def _choice(pick: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    return lambda a, b: np.where(pick(np.real(a), np.real(b)), a, b)
+def _choice(is_first: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The first or the second of two numbers, by their real parts."""
+    return lambda a, b: np.where(is_first(np.real(a), np.real(b)), a, b)
 
 
 # All differentiable by a complex step, hence no conjugates.
@@ -81,17 +82,17 @@ class Expression:
         By a complex step (Squire and Trapp 1998, SIAM Review 40): f(x + ih) =
         f(x) + ih f'(x).
         """
-        found = {}
+        slopes = {}
         for name in self.names:
             moved = {key: complex(value) for key, value in values.items()}
             moved[name] += _STEP * 1j
-            with np.errstate(over="ignore"):  # the result tells
-                found[name] = float(np.imag(self.of(moved)) / _STEP)
-        return found
+            with np.errstate(over="ignore"):  # an infinite slope tells
+                slopes[name] = float(np.imag(self.of(moved)) / _STEP)
+        return slopes
 
 
 def parse(
-    text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float]]
+    text: str, names: Sequence[str], sums: Mapping[str, Mapping[str, float]]
 ) -> Expression:
     """An expression from text.
 
@@ -105,32 +106,29 @@ def parse(
     ------
     InputError : it is not arithmetic, or contains other names.
     """
-    known = tuple(names)
-    shown = " ".join(str(text).split())
-    said = f"derive {quoted(shown)}"
-    if not shown:
+    text = " ".join(str(text).split())
+    label = f"derive {quoted(text)}"
+    if not text:
         raise InputError(
             "derive: the expression is empty; expected arithmetic of parameters"
         )
-    if len(shown) > _LONGEST:
-        raise InputError(
-            f"derive: {len(shown)} characters; expected at most {_LONGEST}"
-        )
+    if len(text) > _LONGEST:
+        raise InputError(f"derive: {len(text)} characters; expected at most {_LONGEST}")
     try:
-        tree = ast.parse(_multiplied_out(shown, sums), mode="eval").body
+        tree = ast.parse(_multiplied_out(text, sums), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise InputError(
-            f"{said}: not an arithmetic expression; expected one such as "
-            f"'{known[0]} / {known[min(1, len(known) - 1)]}', "
+            f"{label}: not an arithmetic expression; expected one such as "
+            f"'{names[0]} / {names[min(1, len(names) - 1)]}', "
             "with + - * / ** and parentheses"
         ) from None
-    used: dict[str, None] = {}
-    function = _function_of(tree, said, known, used)
+    used: dict[str, None] = {}  # a set in order
+    function = _function_of(tree, label, names, used)
     if not used:
         raise InputError(
-            f"{said}: it contains no parameter; the parameters are {', '.join(known)}"
+            f"{label}: it contains no parameter; the parameters are {', '.join(names)}"
         )
-    return Expression(shown, tuple(used), function)
+    return Expression(text, tuple(used), function)
 
 
 def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
@@ -147,58 +145,64 @@ def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _function_of(
-    node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, None]
+    node: ast.AST, label: str, names: Sequence[str], used: dict[str, None]
 ) -> Callable[[Mapping[str, Any]], Any]:
-    """The value of a node as a function of the names in it, which are collected.
+    """The value of a node as a function of the values of the names in it, which are
+    collected in `used`.
 
-    Raises `InputError` for anything that is not arithmetic.
+    Raises `InputError`, whose message begins with `label`, for anything that is not
+    arithmetic.
     """
 
-    def of(part: ast.AST) -> Callable[[Mapping[str, Any]], Any]:
-        return _function_of(part, said, names, used)
+    def function_of(part: ast.AST) -> Callable[[Mapping[str, Any]], Any]:
+        return _function_of(part, label, names, used)
 
     if isinstance(node, ast.Constant):
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
-            raise InputError(f"{said}: {quoted(node.value)} is not a number")
-        if not abs(node.value) < 1e300:
-            raise InputError(f"{said}: a number is too large")
+            raise InputError(f"{label}: {quoted(node.value)} is not a number")
+        if not abs(node.value) < _LARGEST:
+            raise InputError(f"{label}: a number is too large")
         number = np.float64(node.value)
         return lambda _: number
     if isinstance(node, ast.Name):
         name = node.id
         if name not in names:
             raise InputError(
-                f"{said}: no parameter {quoted(name)}; the parameters are "
+                f"{label}: no parameter {quoted(name)}; the parameters are "
                 f"{', '.join(names)}"
             )
         used.setdefault(name)
         return lambda values: np.asarray(values[name])[()]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
-        inner, sign = of(node.operand), -1.0 if isinstance(node.op, ast.USub) else 1.0
-        return lambda values: sign * inner(values)
+        operand = function_of(node.operand)
+        sign = -1.0 if isinstance(node.op, ast.USub) else 1.0
+        return lambda values: sign * operand(values)
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        left, right, operator = of(node.left), of(node.right), _OPERATORS[type(node.op)]
+        left = function_of(node.left)
+        right = function_of(node.right)
+        operator = _OPERATORS[type(node.op)]
         return lambda values: operator(left(values), right(values))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        function = _function_called(node, node.func.id, said)
-        arguments = [of(argument) for argument in node.args]
+        function = _function_called(node, node.func.id, label)
+        arguments = [function_of(argument) for argument in node.args]
         return lambda values: function(*(argument(values) for argument in arguments))
     raise InputError(
-        f"{said}: only numbers, names, + - * / ** and the functions "
+        f"{label}: only numbers, names, + - * / ** and the functions "
         f"{', '.join(_FUNCTIONS)} may occur"
     )
 
 
-def _function_called(node: ast.Call, name: str, said: str) -> Callable[..., Any]:
+def _function_called(node: ast.Call, name: str, label: str) -> Callable[..., Any]:
+    """The function of a call, which has as many arguments as it takes."""
     if name not in _FUNCTIONS:
         raise InputError(
-            f"{said}: no function {quoted(name)}; the functions are "
+            f"{label}: no function {quoted(name)}; the functions are "
             f"{', '.join(_FUNCTIONS)}"
         )
     count, function = _FUNCTIONS[name]
     if len(node.args) != count or node.keywords:
         raise InputError(
-            f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}"
+            f"{label}: {name} takes {count} argument{'s' if count > 1 else ''}"
         )
     return function
 

@@ -74,39 +74,43 @@ class FirstOrder(NamedTuple):
     def null_space(self) -> Floats:
         """Orthonormal null directions in typical sizes, shape
         (directions, parameters)."""
-        steps = [self.vector(step) / self._typical for step in self.null_directions]
-        steps = [step for step in steps if step.any()]
-        if not steps:
+        directions = [
+            self.vector(direction) / self._typical for direction in self.null_directions
+        ]
+        directions = [direction for direction in directions if direction.any()]
+        if not directions:
             return np.zeros((0, len(self.names)))
-        _, singular, axes = np.linalg.svd(np.array(steps), full_matrices=False)
+        _, singular, axes = np.linalg.svd(np.array(directions), full_matrices=False)
         return np.asarray(axes[singular > _ROUNDING * singular[0]])
 
     @property
     def _typical(self) -> Floats:
+        """Typical sizes of the parameters that can move."""
         return np.array([self.parameters[name].typical for name in self.names])
 
     def sees(self, gradient: Mapping[str, float]) -> bool:
         """Whether the data determine a quantity with this gradient."""
         row = self.vector(gradient) * self._typical
-        size = float(np.linalg.norm(row))
-        return not np.linalg.norm(self.null_space() @ row) > NO_PART * size
+        along_null = np.linalg.norm(self.null_space() @ row)
+        # a quantity whose gradient is not finite counts as determined
+        return not along_null > NO_PART * float(np.linalg.norm(row))
 
     def follow(self, name: str) -> Floats:
-        """How the parameters change with one of them, to first order: along the null
-        direction in which it takes part, or as the others are refitted; 0 of one that
-        does not move."""
+        """Changes of the parameters for a unit change of one of them, to first order:
+        along the null direction in which it takes part, or as the others are refitted;
+        zeros where it does not move."""
         index = self.names.index(name)
-        in_space = self.null_space()[:, index]
-        if np.linalg.norm(in_space) > NO_PART:
-            follow = (in_space @ self.null_space()) * self._typical
+        space = self.null_space()
+        if np.linalg.norm(space[:, index]) > NO_PART:
+            change = (space[:, index] @ space) * self._typical
         else:
-            follow = self.covariance.matrix[:, index]
-        if follow[index] == 0.0:
-            return np.zeros(len(follow))
-        return np.asarray(follow / follow[index])
+            change = self.covariance.matrix[:, index]
+        if change[index] == 0.0:
+            return np.zeros(len(change))
+        return np.asarray(change / change[index])
 
     def holding(self, name: str) -> FirstOrder:
-        """The same while a parameter is held at its estimate."""
+        """What the fit says while a parameter is held at its estimate."""
         if name not in self.names:
             return self
         index = self.names.index(name)
@@ -114,11 +118,11 @@ class FirstOrder(NamedTuple):
         hold[:, index] -= self.follow(name)
         matrix = hold @ self.covariance.matrix @ hold.T
         space = self.null_space()
-        in_space = space[:, index]
-        if np.linalg.norm(in_space) > NO_PART:
+        parts = space[:, index]
+        if np.linalg.norm(parts) > NO_PART:
             # turned so that the parameter takes part in the first direction alone
-            _, _, turned = np.linalg.svd(in_space[None])
-            space = turned[1:] @ space
+            _, _, turn = np.linalg.svd(parts[None])
+            space = turn[1:] @ space
         null_directions = [
             dict(zip(self.names, (row * self._typical).tolist(), strict=True))
             for row in space
@@ -144,19 +148,20 @@ class FirstOrder(NamedTuple):
     def _sums(self) -> dict[str, Mapping[str, float]]:
         """Combinations and products whose shifts are known, to first order, with their
         weights."""
-        weights: dict[str, Mapping[str, float]] = {
+        sums: dict[str, Mapping[str, float]] = {
             combination.expression: combination.weights
             for combination in self.combinations
         }
-        weights |= {text: self.gradient_of(text) for text in self.products}
-        return {text: row for text, row in weights.items() if text in self.shifts}
+        for product in self.products:
+            sums[product] = self.gradient_of(product)
+        return {text: row for text, row in sums.items() if text in self.shifts}
 
     def _shifted(self) -> Floats:
         """Which parameters have shifts of their own, and not those of products alone,
         shape (parameters,)."""
-        in_products = {
-            name for text in self.products for name in self.gradient_of(text)
-        }
+        in_products: set[str] = set()
+        for product in self.products:
+            in_products.update(self.gradient_of(product))
         return np.array(
             [name in self.shifts and name not in in_products for name in self.names]
         )
@@ -165,16 +170,18 @@ class FirstOrder(NamedTuple):
         """Shift from the estimates to the true values if a condition is off by
         one width, along the determined directions, in the order of the parameters
         that can move."""
-        shifted = self._shifted()
-        shift = shifted * self.vector(
-            {name: by.get(condition, 0.0) for name, by in self.shifts.items()}
-        )
+        shifts = {
+            text: by_condition.get(condition, 0.0)
+            for text, by_condition in self.shifts.items()
+        }
+        is_shifted = self._shifted()
+        shift = is_shifted * self.vector(shifts)
         sums = self._sums()
-        hidden = np.logical_not(shifted)
+        # of the other parameters, what the shifts of sums and products tell
+        hidden = np.logical_not(is_shifted)
         if hidden.any() and sums:
             rows = np.array([self.vector(weights) for weights in sums.values()])
-            right = [self.shifts[text].get(condition, 0.0) for text in sums]
-            rest = np.array(right) - rows @ shift
+            rest = np.array([shifts[text] for text in sums]) - rows @ shift
             shift[hidden] = np.linalg.lstsq(rows[:, hidden], rest, rcond=None)[0]
         return shift
 
@@ -193,4 +200,4 @@ class FirstOrder(NamedTuple):
 
     def gradient_of(self, product: str) -> dict[str, float]:
         """The gradient of a product of parameters at the estimates, by their names."""
-        return parse(product, self.values, {}).gradient(self.values)
+        return parse(product, [*self.values], {}).gradient(self.values)

@@ -55,15 +55,16 @@ class Derived(WithInterval):
 def scaled(quantity: Derived, factor: float) -> Derived:
     """The quantity times a factor."""
 
-    def times(value: float | None) -> float | None:
-        return None if value is None else value * abs(factor)
+    def scaled_error(error: float | None) -> float | None:
+        return None if error is None else error * abs(factor)
 
+    # a negative factor turns their order
     quantiles = sorted(value * factor for value in quantity.quantiles.values())
     return replace(
         quantity,
         value=quantity.value * factor,
-        stderr=times(quantity.stderr),
-        systematic=times(quantity.systematic),
+        stderr=scaled_error(quantity.stderr),
+        systematic=scaled_error(quantity.systematic),
         quantiles=dict(zip(quantity.quantiles, quantiles, strict=True)),
     )
 

@@ -43,10 +43,12 @@ COMPONENTS = ("across", "along", "turning")
 SHAPES = 12  # basis functions of speed
 _TAIL = 0.05  # prior probability of a size above that of friction
 _STRAIGHT = 0.05  # acceleration across a straight path that a law may miss, over mu g
+_NOT_TURNING = 0.01  # that of the spin of a stone without spin, over mu g R/rho^2
 _GRID = 400  # number of times along the path
 SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
 # over the initial speed: lowest speed at which accelerations are evaluated
 _SLOWEST = 0.02
+_LEAST_DECELERATION = 0.1  # over the mean: without any, a stone would stay at one speed
 _EDGES = np.geomspace(0.002, 1.0, 11)
 SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
 """Sizes over the friction, at the midpoints of equal intervals of their logarithm."""
@@ -60,9 +62,10 @@ class Responses(NamedTuple):
     by_channel: Floats
     """derivatives by components and shapes, shape (channels, times, 3 * SHAPES)"""
     size: Floats
-    """those accelerations, across, along and turning, m/s^2 (rad/s^2); shape (3,)"""
+    """accelerations by friction across, along and turning, m/s^2 (rad/s^2); shape
+    (3,)"""
     largest: Floats
-    """the same if all of the friction acted in that component"""
+    """accelerations if all of the friction acted in that component, shape (3,)"""
 
     @property
     def friction(self) -> float:
@@ -76,48 +79,62 @@ class Responses(NamedTuple):
 
         distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
         moving = np.flatnonzero(path[3, distinct] > 0)
-        last = distinct[
-            min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)
-        ]
+        # up to the first row at rest, and from two rows at least
+        at_rest = int(moving[-1]) + 1 if len(moving) else 1
+        last = distinct[min(at_rest, len(distinct) - 1)]
         distinct = distinct[distinct <= last]
         t = np.linspace(0.0, times[last], _GRID)
-        rates = CubicSpline(times[distinct], path[:3, distinct], axis=1)(t, 1)
+        velocity = CubicSpline(times[distinct], path[:3, distinct], axis=1)(t, 1)
         speed = np.interp(t, times[distinct], path[3, distinct])
         omega = np.interp(t, times[distinct], path[4, distinct])
         speed = np.maximum(speed, _SLOWEST * speed[0])
-        heading = np.unwrap(np.arctan2(rates[0], rates[1]))
-        slow = np.gradient(speed, t)
-        mean = max((speed[0] - speed[-1]) / t[-1], 1e-6)
-        # without deceleration a stone would stay at one speed forever
-        slow = np.minimum(slow, -0.1 * mean)
+        heading = np.unwrap(np.arctan2(velocity[0], velocity[1]))
+        deceleration = max((speed[0] - speed[-1]) / t[-1], 1e-6)
+        speed_rate = np.gradient(speed, t)
+        speed_rate = np.minimum(speed_rate, -_LEAST_DECELERATION * deceleration)
+        heading_rate = np.gradient(heading, t)
+        spin_rate = np.gradient(omega, t)
+
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
-        bend = float(np.sqrt(np.mean((speed * np.gradient(heading, t)) ** 2)))
-        largest = mean * np.array([1.0, 1.0, stone.R / stone.rho**2])
-        sizes = largest * np.array(
-            [np.clip(bend / mean, _STRAIGHT, 1.0), 1.0, max(ratio, 0.01)]
-        )
+        bend = float(np.sqrt(np.mean((speed * heading_rate) ** 2)))
+        across = np.clip(bend / deceleration, _STRAIGHT, 1.0)
+        largest = deceleration * np.array([1.0, 1.0, stone.R / stone.rho**2])
+        sizes = largest * np.array([across, 1.0, max(ratio, _NOT_TURNING)])
+
         shape = np.array(
             [np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()]
         )
-        found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
         integral = partial(running_integral, steps=np.diff(t))
-        turn, spin_up = np.gradient(heading, t), np.gradient(omega, t)
-        for component, size in enumerate(sizes):
-            across, along, angular = (size * shape * (component == k) for k in range(3))
-            s = integral(along / slow)
-            heading_change = integral(across / speed - turn * along / slow) + turn * s
-            spin_change = integral(angular - spin_up * along / slow) + spin_up * s
-            speed_change = slow * s
-            sine, cosine = np.sin(heading), np.cos(heading)
-            found[:, component] = (
-                integral(speed_change * sine + speed * cosine * heading_change),
-                integral(speed_change * cosine - speed * sine * heading_change),
+        sine = np.sin(heading)
+        cosine = np.cos(heading)
+        responses = []
+        for component, size in zip(COMPONENTS, sizes, strict=True):
+            a_across = size * shape * (component == "across")
+            a_along = size * shape * (component == "along")
+            a_angular = size * shape * (component == "turning")
+            # the equations above, in which `s` is the time between equal speeds
+            s = integral(a_along / speed_rate)
+            speed_change = speed_rate * s
+            heading_change = (
+                integral(a_across / speed - heading_rate * a_along / speed_rate)
+                + heading_rate * s
+            )
+            spin_change = (
+                integral(a_angular - spin_rate * a_along / speed_rate) + spin_rate * s
+            )
+            x_rate = speed_change * sine + speed * cosine * heading_change
+            y_rate = speed_change * cosine - speed * sine * heading_change
+            by_channel = [
+                integral(x_rate),
+                integral(y_rate),
                 integral(spin_change),
                 speed_change,
                 spin_change,
-            )
-        by_channel = found.reshape(len(CHANNELS), 3 * SHAPES, _GRID).swapaxes(1, 2)
-        return cls(t, by_channel, sizes, largest)
+            ]
+            responses.append(np.array(by_channel))
+        # from components, channels, shapes, times
+        by_channel_and_shape = np.stack(responses, 1).reshape(len(CHANNELS), -1, _GRID)
+        return cls(t, by_channel_and_shape.swapaxes(1, 2), sizes, largest)
 
     def at(self, times: Floats, channel: int) -> Floats:
         """Responses of a channel at some times, constant after the end of the path."""
@@ -164,13 +181,15 @@ def covariance(speed: Floats, other: Floats) -> Floats:
 
 @cache
 def shapes() -> Any:
-    """`leading_functions` of an acceleration of size 1."""
+    """Leading functions of speed of an acceleration of size 1, shape
+    (`SHAPES`, speeds)."""
     return leading_functions(covariance(SPEEDS[:, None], SPEEDS))
 
 
 def leading_functions(matrix: Floats) -> Floats:
     """Leading Karhunen-Loeve functions of a covariance at `SPEEDS`, shape
     (functions, speeds)."""
-    squares, rows = principal_axes(matrix)
-    found: Floats = np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES]
-    return found
+    variances, rows = principal_axes(matrix)
+    deviations = np.sqrt(np.maximum(variances[:SHAPES, None], 0.0))
+    functions: Floats = deviations * rows[:SHAPES]
+    return functions

@@ -12,15 +12,17 @@ from curlfit.numerics.arrays import Floats
 
 _SURE = 3.5  # standard deviations from which independence is rejected
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
-# second over first differences, squared: 2 to 3 for noise that is not differentiable
 _ROUGH = 1.0
+"""Squares of second differences over those of first ones: 2 to 3 for noise that is not
+differentiable, less than this for a smooth function."""
 
 
 def is_rough(series: Floats) -> bool:
     """Whether a series is as rough as noise; others are due to a law, or
     to a formula."""
-    first, second = (float(np.sum(np.diff(series, order) ** 2)) for order in (1, 2))
-    return second > _ROUGH * first
+    first_differences = float(np.sum(np.diff(series) ** 2))
+    second_differences = float(np.sum(np.diff(series, 2) ** 2))
+    return second_differences > _ROUGH * first_differences
 
 
 def time_of_motion(t: Floats, speed: Floats) -> float:
@@ -49,19 +51,24 @@ class Independence:
     @classmethod
     def of(cls, residual: Floats) -> Self:
         """Of at least two residuals, in the order of their rows."""
-        n, centred = len(residual), residual - residual.mean()
-        total, up = float(centred @ centred), centred > 0
-        lag1 = float(centred[1:] @ centred[:-1]) / total if total else 0.0
-        above, runs = int(up.sum()), 1 + int((up[1:] != up[:-1]).sum())
+        n = len(residual)
+        centred = residual - residual.mean()
+        squares = float(centred @ centred)
+        lag1 = float(centred[1:] @ centred[:-1]) / squares if squares else 0.0
+        is_above = centred > 0
+        above = int(is_above.sum())
+        runs = 1 + int((is_above[1:] != is_above[:-1]).sum())
+        # of the number of runs where the order of the signs is random
         mean = 1 + 2 * above * (n - above) / n
         variance = (mean - 1) * (mean - 2) / (n - 1)
-        z = (runs - mean) / math.sqrt(variance) if variance > 0 else 0.0
-        return cls(lag1, z, n * min((1 - lag1) / (1 + lag1), 1.0))
+        z_score = (runs - mean) / math.sqrt(variance) if variance > 0 else 0.0
+        effective = n * min((1 - lag1) / (1 + lag1), 1.0)
+        return cls(lag1, z_score, effective)
 
     @property
     def doubtful(self) -> bool:
         """Whether independence is rejected, with a correlation that matters
         for the errors."""
-        n = self.effective * (1 + self.lag1) / max(1 - self.lag1, 1e-9)
-        sure = self.lag1 * math.sqrt(n) > _SURE or self.runs < -_SURE
-        return sure and self.lag1 > _MATTERS
+        number = self.effective * (1 + self.lag1) / max(1 - self.lag1, 1e-9)
+        is_rejected = self.lag1 * math.sqrt(number) > _SURE or self.runs < -_SURE
+        return is_rejected and self.lag1 > _MATTERS

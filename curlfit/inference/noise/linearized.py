@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -27,6 +28,8 @@ from curlfit.throws.throw import CHANNELS
 _FEWEST = 20  # values of a channel, at least, for its noise to be estimated
 _ROUNDING = 1e-13  # of the sum of the eigenvalues of a matrix of products
 _NOTHING = 1e-9  # singular value over the largest, below which it is rounding error
+# names of the rows of values; those of the last, the events, have independent noise
+CHANNELS_AND_EVENTS = (*CHANNELS, "")
 
 
 class Linearized(NamedTuple):
@@ -48,6 +51,7 @@ class Linearized(NamedTuple):
     from_standard: Any
     """from directions to parameters, shape (parameters, directions)"""
     to_standard: Any
+    """from parameters to directions, shape (directions, parameters)"""
     held: Any
     """directions of the coefficients among all, as orthonormal rows"""
     span: Any
@@ -75,46 +79,49 @@ class Linearized(NamedTuple):
             `coefficients`.
         adjustable : which parameters are neither fixed nor at a bound.
         """
-        own = (weight[..., None] * jacobian * adjustable).reshape(-1, len(typical))
-        rows, singular, _ = directions_of_squares(own.T @ own, typical)
-        missing = ((0, 0), (0, len(typical) - len(rows)))
-        from_standard = np.pad(typical[:, None] * rows.T / singular, missing)
-        to_standard = np.pad((singular[:, None] * rows / typical).T, missing).T
-        law = from_standard[:coefficients] / typical[:coefficients, None]
-        _, sizes, held = np.linalg.svd(law, full_matrices=False)
-        held = np.where((sizes > _NOTHING * sizes.max(initial=0.0))[:, None], held, 0.0)
+        columns = (weight[..., None] * jacobian * adjustable).reshape(-1, len(typical))
+        rows, singular, _ = directions_of_squares(columns.T @ columns, typical)
+        # zeros in place of directions that are not determined
+        undetermined = ((0, 0), (0, len(typical) - len(rows)))
+        from_standard = np.pad(typical[:, None] * rows.T / singular, undetermined)
+        to_standard = np.pad((singular[:, None] * rows / typical).T, undetermined).T
+        of_law = from_standard[:coefficients] / typical[:coefficients, None]
+        _, sizes, held = np.linalg.svd(of_law, full_matrices=False)
+        is_varied = sizes > _NOTHING * sizes.max(initial=0.0)
         return cls(
-            np.diff(times, append=times[-1]),
-            weight,
-            residual,
-            jacobian @ from_standard,
-            jacobian[..., :0],
-            from_standard,
-            to_standard,
-            held,
-            np.asarray(times[-1] - times[0]),
+            gaps=np.diff(times, append=times[-1]),
+            weight=weight,
+            residual=residual,
+            jacobian=jacobian @ from_standard,
+            responses=jacobian[..., :0],
+            from_standard=from_standard,
+            to_standard=to_standard,
+            held=np.where(is_varied[:, None], held, 0.0),
+            span=np.asarray(times[-1] - times[0]),
         )
 
     @property
     def columns(self) -> Any:
-        """Directions, amplitudes and, last, the residual, over sigma."""
-        parts = self.jacobian, self.responses, self.residual[..., None]
-        return self.weight[..., None] * jnp.concatenate(parts, -1)
+        """Derivatives by directions and amplitudes and, last, the residual, over
+        sigma."""
+        columns = (self.jacobian, self.responses, self.residual[..., None])
+        return self.weight[..., None] * jnp.concatenate(columns, -1)
 
     def first(self, channels: int) -> Self:
-        """Of the first channels alone."""
-        parts = self.weight, self.residual, self.jacobian, self.responses
-        weight, residual, jacobian, responses = (part[:channels] for part in parts)
+        """The path in the first channels alone."""
         return self._replace(
-            weight=weight, residual=residual, jacobian=jacobian, responses=responses
+            weight=self.weight[:channels],
+            residual=self.residual[:channels],
+            jacobian=self.jacobian[:channels],
+            responses=self.responses[:channels],
         )
 
     @property
     def enough(self) -> Booleans:
         """Which channels have enough values for their noise to be estimated."""
-        found: Booleans = (self.weight > 0).sum(1) >= _FEWEST
-        found[len(CHANNELS) :] = False
-        return found
+        has_enough: Booleans = (self.weight > 0).sum(1) >= _FEWEST
+        has_enough[len(CHANNELS) :] = False
+        return has_enough
 
     @property
     def coupling(self) -> Any:
@@ -124,49 +131,51 @@ class Linearized(NamedTuple):
         return (self.jacobian.mT @ rows).sum(0)
 
     @property
-    def paid(self) -> Any:
+    def adjusted_responses(self) -> Any:
         """Derivatives of the path by the amplitudes while the parameters adjust."""
         return self.responses - self.jacobian @ self.coupling
 
     def regression(self, noise: Filter, scale: Any) -> Regression:
-        """After a filter of the noise, with sigma times `scale` by channel."""
-        p, columns = (
-            len(self.held.T),
-            noise.innovations(self.columns) / scale[:, None, None],
-        )
+        """The regression after a filter of the noise, with sigma times `scale` by
+        channel."""
+        columns = noise.innovations(self.columns) / scale[:, None, None]
         columns = columns.reshape(-1, columns.shape[-1])
-        own, others = columns[:, :p], columns[:, p:]
-        precision = own.T @ own
+        directions = len(self.held.T)
+        by_direction = columns[:, :directions]
+        others = columns[:, directions:]
+        precision = by_direction.T @ by_direction
+        # 1 of directions that are not determined, whose columns are zero
         precision += jnp.diag(jnp.where(jnp.diag(precision) > 0, 0.0, 1.0))
+        factor = (jnp.linalg.cholesky(precision), True)
         # The products of what is left, not a difference of products: rounding keeps
         # it positive.
-        left = others - own @ cho_solve(
-            (jnp.linalg.cholesky(precision), True), own.T @ others
-        )
+        left = others - by_direction @ cho_solve(factor, by_direction.T @ others)
         return Regression(left.T @ left, precision, self.held @ self.coupling)
 
     def covariance(self, noise: Noise, times: Floats, scale: Floats) -> Floats:
-        """Of the least-squares estimates of the directions under noise with sigma
-        times `scale`."""
-        found = np.zeros((len(self.held.T),) * 2)
+        """Covariance of the least-squares estimates of the directions under noise with
+        sigma times `scale`."""
+        directions = len(self.held.T)
+        covariance = np.zeros((directions, directions))
         correlated = noise.correlated
         for row, (weight, factor) in enumerate(zip(self.weight, scale, strict=True)):
-            name = [*CHANNELS, ""][row]
+            channel = CHANNELS_AND_EVENTS[row]
             seen = weight > 0
-            rows = factor * weight[seen, None] * self.jacobian[row, seen]
-            if name in correlated:
-                found += rows.T @ noise.covariance(name, times[seen]) @ rows
+            columns = factor * weight[seen, None] * self.jacobian[row, seen]
+            if channel in correlated:
+                of_noise = noise.covariance(channel, times[seen])
+                covariance += columns.T @ of_noise @ columns
             else:
-                found += rows.T @ rows
-        return found
+                covariance += columns.T @ columns
+        return covariance
 
 
 class Regression(NamedTuple):
     """Regression of amplitudes' columns and residual on the parameters, over
     independent values."""
 
-    left: Any
-    """products of what is left of these columns"""
+    products: Any
+    """of what is left of these columns when the parameters are fitted to them"""
     precision: Any
     """of the directions"""
     held: Any
@@ -174,41 +183,36 @@ class Regression(NamedTuple):
 
     def log_likelihood(self, sizes: Any) -> Array:
         """Restricted log-likelihood of the sizes of a discrepancy, up to a constant."""
-        spent = jnp.linalg.slogdet(self.precision)[1] / 2
+        by_parameters = jnp.linalg.slogdet(self.precision)[1] / 2
+        chi_squared = self.products[-1, -1]
         if not len(sizes):
-            return -spent - self.left[-1, -1] / 2
+            return -by_parameters - chi_squared / 2
         lower, white, _ = self.posterior(sizes)
-        return (
-            -spent
-            - jnp.log(jnp.diag(lower)).sum()
-            - (self.left[-1, -1] - white @ white) / 2
-        )
+        by_amplitudes = jnp.log(jnp.diag(lower)).sum()
+        return -by_parameters - by_amplitudes - (chi_squared - white @ white) / 2
 
     def posterior(self, sizes: Any) -> tuple[Array, Array, Array]:
-        """Of z, where the amplitudes are F z: the Cholesky factor L of its precision,
-        L^T times its mean, and F."""
-        found: tuple[Array, Array, Array] = _posterior(self, sizes)
-        return found
+        """Posterior of z, where the amplitudes are F z: the Cholesky factor L of its
+        precision, L^T times its mean, and F."""
+        posterior: tuple[Array, Array, Array] = _posterior(self, sizes)
+        return posterior
 
     def mean(self, sizes: Any) -> Floats:
         """Mean of the amplitudes given the residuals, for NumPy."""
-        lower, white, root = map(np.asarray, self.posterior(sizes))
-        found: Floats = root @ np.linalg.solve(lower.T, white)
-        return found
+        lower, white, root = jax.device_get(self.posterior(sizes))
+        mean: Floats = root @ np.linalg.solve(lower.T, white)
+        return mean
 
 
 @compiled()
 def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
     root = amplitude_root(sizes, regression.held)
-    sums = root.T @ regression.left[:-1, :-1] @ root
-    # sums of tiny noise have rounding errors above 1
-    floor = 1 + _ROUNDING * jnp.trace(sums)
-    lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
-    return (
-        lower,
-        solve_triangular(lower, root.T @ regression.left[:-1, -1], lower=True),
-        root,
-    )
+    products = root.T @ regression.products[:-1, :-1] @ root
+    # the prior precision of z; products of tiny noise have rounding errors above 1
+    floor = 1 + _ROUNDING * jnp.trace(products)
+    lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + products)
+    right = root.T @ regression.products[:-1, -1]
+    return lower, solve_triangular(lower, right, lower=True), root
 
 
 regression_of = compiled()(Linearized.regression)

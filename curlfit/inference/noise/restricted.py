@@ -33,6 +33,9 @@ from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
 _FAR = 8.0  # limit of the logarithm of a scale over the rms residual
+_TINY = (
+    1e-10  # rms residual over sigma of a channel without noise, so that it has a log
+)
 _SIZE = 0.05  # initial size of a discrepancy
 _PRECISE = 1e-12  # relative change of the log-posterior at which the search ends
 _STEP = 1e-3  # of differences of slopes
@@ -92,8 +95,9 @@ def _regression(
     seen = data.weight > 0
     parts = _parts(point, data)
     whitening = noise.filter(noise.values(parts.unknowns), data.gaps, seen)
-    determinant = whitening.log_determinant() - seen.sum(-1) * parts.log_scale
-    return data.regression(whitening, jnp.exp(parts.log_scale)), determinant.sum()
+    by_channel = whitening.log_determinant() - seen.sum(-1) * parts.log_scale
+    regression = data.regression(whitening, jnp.exp(parts.log_scale))
+    return regression, by_channel.sum()
 
 
 @compiled("kind")
@@ -120,12 +124,12 @@ class Estimate(NamedTuple):
     @property
     def weights(self) -> Floats:
         """Posterior probabilities of the sizes of `GRID`."""
-        logs = self.log_likelihood + log_prior(GRID)
-        found: Floats = np.exp(logs - logs.max())
-        return found / found.sum()
+        log_posterior = self.log_likelihood + log_prior(GRID)
+        likely: Floats = np.exp(log_posterior - log_posterior.max())
+        return likely / likely.sum()
 
 
-def estimate(noise: Noise, data: Linearized, known: Sequence[bool]) -> Estimate:
+def estimate(noise: Noise, data: Linearized, sigma_given: Sequence[bool]) -> Estimate:
     """A noise with its estimates, from some residuals.
 
     Independent noise is preferred unless a correlation raises the likelihood by more
@@ -135,11 +139,11 @@ def estimate(noise: Noise, data: Linearized, known: Sequence[bool]) -> Estimate:
 
     Parameters
     ----------
-    known : by channel, whether its sigma was given.
+    sigma_given : by channel.
     """
     enough = data.enough
-    nowhere = enough & False
-    search = _Search(noise, data, enough, np.asarray(known))
+    nowhere = np.zeros(len(enough), bool)
+    search = _Search(noise, data, enough & ~np.asarray(sigma_given))
     white = search.highest(nowhere)
     correlated = enough & search.rough(white)
     if (search.free & ~correlated).any():
@@ -147,14 +151,16 @@ def estimate(noise: Noise, data: Linearized, known: Sequence[bool]) -> Estimate:
         white = search.highest(nowhere)
     best = white
     if correlated.any():
-        other = search.highest(correlated)
-        added = sum(unknown.lower < unknown.upper for unknown in other.unknowns)
-        if other.log_likelihood > white.log_likelihood + added:
-            best = search.widened(other)
+        maximum = search.highest(correlated)
+        added = sum(unknown.lower < unknown.upper for unknown in maximum.unknowns)
+        if maximum.log_likelihood > white.log_likelihood + added:
+            best = search.widened(maximum)
     return search.estimate(best)
 
 
 class _Maximum(NamedTuple):
+    """A maximum of the posterior of a noise."""
+
     point: Floats
     correlated: Booleans
     """which channels have correlated noise"""
@@ -164,26 +170,28 @@ class _Maximum(NamedTuple):
 
 
 class _Search:
-    """The search for the maximum of the posterior of a noise."""
+    """The search for the maximum of the posterior of a noise.
 
-    def __init__(
-        self, noise: Noise, data: Linearized, enough: Booleans, known: Booleans
-    ) -> None:
+    Attributes
+    ----------
+    free : by channel, whether its scale is searched for; the others have sigma of the
+        fit.
+    """
+
+    def __init__(self, noise: Noise, data: Linearized, free: Booleans) -> None:
         self.noise = noise
         self.data = data
-        self.enough = enough
-        self.free = enough & ~known
-        self.sizes = _number_of_sizes(data)
+        self.free = free
+        self.number_of_sizes = _number_of_sizes(data)
 
     @cached_property
-    def rms(self) -> Floats:
+    def log_rms(self) -> Floats:
         """Logarithm of the rms residual over sigma, by channel."""
         data = self.data
         count = np.maximum((data.weight > 0).sum(1), 1)
-        found: Floats = np.log(
-            np.sqrt(((data.weight * data.residual) ** 2).sum(1) / count) + 1e-10
-        )
-        return found
+        mean_square = ((data.weight * data.residual) ** 2).sum(1) / count
+        log_rms: Floats = np.log(np.sqrt(mean_square) + _TINY)
+        return log_rms
 
     def highest(self, correlated: Booleans) -> _Maximum:
         """The highest of the maxima to which initial values lead, with correlated noise
@@ -201,18 +209,25 @@ class _Search:
         from scipy.optimize import minimize  # slow to load
 
         far = _FAR * self.free
-        scale = np.where(self.free, self.rms, 0.0)
-        lower = [unknown.lower for unknown in unknowns]
-        upper = [unknown.upper for unknown in unknowns]
-        first = [*scale, *start, *[math.log(_SIZE)] * self.sizes]
-        lowest = [*scale - far, *lower, *[math.log(SIZES[0])] * self.sizes]
-        highest = [*scale + far, *upper, *[0.0] * self.sizes]
+        scale = np.where(self.free, self.log_rms, 0.0)
+        sizes = self.number_of_sizes
+        first = [*scale, *start, *[math.log(_SIZE)] * sizes]
+        lowest = [
+            *scale - far,
+            *(unknown.lower for unknown in unknowns),
+            *[math.log(SIZES[0])] * sizes,
+        ]
+        highest = [
+            *scale + far,
+            *(unknown.upper for unknown in unknowns),
+            *[0.0] * sizes,
+        ]
 
         def slope(point: Floats) -> tuple[float, Floats]:
             value, gradient, _ = _slope(self.noise.kind, point, self.data)
             return float(value), np.asarray(gradient)
 
-        found = minimize(
+        end = minimize(
             slope,
             np.clip(first, lowest, highest),
             jac=True,
@@ -220,21 +235,27 @@ class _Search:
             bounds=np.transpose([lowest, highest]),
             options={"ftol": _PRECISE},
         )
-        likelihood = float(_slope(self.noise.kind, found.x, self.data)[2])
-        return _Maximum(found.x, correlated, unknowns, -float(found.fun), likelihood)
+        _, _, log_likelihood = _slope(self.noise.kind, end.x, self.data)
+        return _Maximum(
+            point=end.x,
+            correlated=correlated,
+            unknowns=unknowns,
+            log_posterior=-float(end.fun),
+            log_likelihood=float(log_likelihood),
+        )
 
     def rough(self, maximum: _Maximum) -> Booleans:
         """Channels whose residuals are as rough as noise, and of a size; others are due
         to the law, or to a file without noise."""
         data = self.data
-        left = data.residual
+        residual = data.residual
         parts = _parts(maximum.point, data)
-        if self.sizes:
-            sizes = np.exp(parts.log_sizes)
-            left = left - np.asarray(data.paid) @ self._at(maximum).mean(sizes)
-        series = zip(data.weight * left, data.weight > 0, strict=True)
-        sized = ~self.free | (parts.log_scale > self.rms - _FAR)
-        return sized & [is_rough(values[seen]) for values, seen in series]
+        if self.number_of_sizes:
+            amplitudes = self._at(maximum).mean(np.exp(parts.log_sizes))
+            residual = residual - np.asarray(data.adjusted_responses) @ amplitudes
+        series = zip(data.weight * residual, data.weight > 0, strict=True)
+        has_size = ~self.free | (parts.log_scale > self.log_rms - _FAR)
+        return has_size & [is_rough(values[seen]) for values, seen in series]
 
     def _at(self, maximum: _Maximum) -> Regression:
         """The regression at a maximum."""
@@ -243,8 +264,8 @@ class _Search:
         return in_numpy
 
     def widened(self, best: _Maximum) -> _Maximum:
-        """With the mean variance of the noise at low frequencies in place of the
-        most probable, where the noise has a correlation time.
+        """The maximum with the mean variance of the noise at low frequencies in place
+        of the most probable, where the noise has a correlation time.
 
         Noise of longer memory is larger, and the likelihood has a ridge along which
         the variance at low frequencies grows as the square of the correlation time.
@@ -266,10 +287,11 @@ class _Search:
             _STEP,
             moving,
         )
-        squares, axes = np.linalg.eigh(hessian + hessian.T)
-        inverse = (2 * axes / np.maximum(squares, 2.0)) @ axes.T
+        # twice the second derivatives, and no variance above 1
+        doubled, axes = np.linalg.eigh(hessian + hessian.T)
+        covariance = (2 * axes / np.maximum(doubled, 2.0)) @ axes.T
         point = best.point.copy()
-        point[moving] += inverse[-1]
+        point[moving] += covariance[-1]  # of all with the logarithm of the time
         point[moving[-1]] = min(point[moving[-1]], time.upper)
         return best._replace(point=point)
 
@@ -278,21 +300,21 @@ class _Search:
         data = self.data
         parts = _parts(best.point, data)
         values = self.noise.values(parts.unknowns)
-        by_channel: dict[str, Any] = {}
+        parameters: dict[str, Any] = {}
         for name, independent in self.noise.parameters.items():
-            by_channel[name] = {
-                CHANNELS[row]: float(values[name][row])
-                if best.correlated[row]
-                else independent
-                for row in np.flatnonzero(self.enough)
-            }
-        noise = replace(self.noise, **by_channel)
+            by_channel = {}
+            for row in np.flatnonzero(data.enough):
+                is_correlated = best.correlated[row]
+                value = float(values[name][row]) if is_correlated else independent
+                by_channel[CHANNELS[row]] = value
+            parameters[name] = by_channel
+        noise = replace(self.noise, **parameters)
         scale = np.exp(parts.log_scale)
-        if not self.sizes:
+        if not self.number_of_sizes:
             return Estimate(noise, scale)
         regression = self._at(best)
-        of_sizes = np.asarray(_of_sizes(regression, GRID))
-        estimate = Estimate(noise, scale, regression, of_sizes)
+        log_likelihood = np.asarray(_of_sizes(regression, GRID))
+        estimate = Estimate(noise, scale, regression, log_likelihood)
         rms = np.sqrt(estimate.weights @ GRID**2)
         noise = replace(
             noise,
@@ -305,10 +327,10 @@ class _Search:
         """Covariance of the change of the initial state that compensates a
         discrepancy."""
         data = self.data
-        lower, white, root = map(np.asarray, regression.posterior(sizes))
+        lower, white, root = jax.device_get(regression.posterior(sizes))
         spread = np.linalg.inv(lower.T)
-        shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         mean = spread @ white
         squares = spread @ spread.T + _FACTOR * np.outer(mean, mean)
+        shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         covariance: Floats = shift @ squares @ shift.T
         return covariance

@@ -13,15 +13,18 @@ import numpy as np
 from jax import Array
 
 from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, amplitude_root
-from curlfit.inference.noise.linearized import Linearized, regression_of
+from curlfit.inference.noise.linearized import (
+    CHANNELS_AND_EVENTS,
+    Linearized,
+    regression_of,
+)
 from curlfit.noises import NOISES, Filter, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.throws.throw import CHANNELS
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
-_COUNT = len(COMPONENTS) * SHAPES
+_AMPLITUDES = len(COMPONENTS) * SHAPES
 
 
 class Whitener(NamedTuple):
@@ -42,9 +45,9 @@ class Whitener(NamedTuple):
     estimates: Any = None
     """B, shape (channels, n, parameters)"""
     restored: Any = None
-    """G V^-1/2, of that shape"""
+    """G V^-1/2, shape (channels, n, parameters)"""
     determinant: Any = None
-    """of what follows the filter, its logarithm"""
+    """logarithm of the determinant of what follows the filter"""
 
     @classmethod
     def of(
@@ -69,41 +72,51 @@ class Whitener(NamedTuple):
         """
         if noise.is_white:
             return None
-        own = filter_of(noise, times, weight > 0)
+        noise_filter = filter_of(noise, times, weight > 0)
         if not noise.has_discrepancy:
-            return cls(own)
-        k, n = _COUNT, weight.size
-        directions, shrink = np.zeros((n, k + parameters)), np.zeros(k + parameters)
-        estimates, restored = np.zeros((2, n, parameters))
+            return cls(noise_filter)
+        n = weight.size
+        directions = np.zeros((n, _AMPLITUDES + parameters))
+        shrink = np.zeros(_AMPLITUDES + parameters)
+        estimates = np.zeros((n, parameters))
+        restored = np.zeros((n, parameters))
         determinant = 0.0
         if noise.sizes and data is not None:
+            # G, and the estimates of the parameters that the data determine
             scale = scale_between(data.weight, weight)
-            by_parameters = weight[..., None] * data.jacobian
+            jacobian = _filtered(noise_filter, weight[..., None] * data.jacobian)
             determined = np.abs(data.from_standard).max(0) > 0
-            size = int(determined.sum())
-            g, triangle = np.linalg.qr(_filtered(own, by_parameters)[:, determined])
-            directions[:, k : k + size], shrink[k : k + size] = g, 1.0
-            estimates = (
-                scale[:, None, None] * data.weight[..., None] * data.jacobian
-            ).reshape(n, -1)
+            basis, triangle = np.linalg.qr(jacobian[:, determined])
+            end = _AMPLITUDES + int(determined.sum())
+            directions[:, _AMPLITUDES:end] = basis
+            shrink[_AMPLITUDES:end] = 1.0
+            weights = scale[:, None, None] * data.weight[..., None]
+            estimates = (weights * data.jacobian).reshape(n, -1)
+
+            # V^-1/2
             covariance = data.covariance(noise, times, scale)
             to_state = data.to_standard[:, -STATE:]
             covariance += to_state @ np.array(noise.initial_state) @ to_state.T
-            values, axes = np.linalg.eigh(covariance[determined][:, determined])
-            restored[:, determined] = g @ (axes / np.sqrt(values)) @ axes.T
+            variances, axes = np.linalg.eigh(covariance[determined][:, determined])
+            restored[:, determined] = basis @ (axes / np.sqrt(variances)) @ axes.T
+
+            # the directions of the discrepancy that are orthogonal to G
             root = amplitude_root(
                 _sizes_of(noise), data.held @ np.asarray(data.coupling)
             )
-            rows = _filtered(own, weight[..., None] * np.asarray(data.paid)) @ root
-            rows -= g @ (g.T @ rows)
-            left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+            adjusted = weight[..., None] * np.asarray(data.adjusted_responses)
+            responses = _filtered(noise_filter, adjusted) @ root
+            responses -= basis @ (basis.T @ responses)
+            left, singular, _ = np.linalg.svd(responses, full_matrices=False)
             directions[:, : len(singular)] = left
             shrink[: len(singular)] = 1 - 1 / np.sqrt(1 + singular**2)
-            determinant = np.log1p(-shrink[:k]).sum() - np.log(values).sum() / 2
+
+            determinant = np.log1p(-shrink[:_AMPLITUDES]).sum()
+            determinant -= np.log(variances).sum() / 2
             determinant -= np.log(np.abs(np.diag(triangle))).sum()
         shape = (*weight.shape, -1)
         return cls(
-            own,
+            noise_filter,
             directions.reshape(shape),
             shrink,
             estimates.reshape(shape),
@@ -114,10 +127,10 @@ class Whitener(NamedTuple):
     def log_determinant(self) -> Floats:
         """Log-determinant of the whitening by channel, for the likelihood;
         shape (channels,)."""
-        found = np.array(self.filter.log_determinant())
+        by_channel = np.array(self.filter.log_determinant())
         if self.determinant is not None:
-            found[0] += self.determinant  # of all channels together
-        return found
+            by_channel[0] += self.determinant  # of all channels together
+        return by_channel
 
 
 def filter_of(noise: Noise, times: Floats, seen: Any) -> Filter:
@@ -128,11 +141,15 @@ def filter_of(noise: Noise, times: Floats, seen: Any) -> Filter:
     ----------
     seen : which values were observed, shape (channels, n).
     """
-    channels = [*CHANNELS, ""][: len(seen)]
     values = {}
     for name, independent in noise.parameters.items():
-        of_channel = getattr(noise, name)
-        values[name] = np.array([of_channel.get(row, independent) for row in channels])
+        estimates = getattr(noise, name)
+        values[name] = np.array(
+            [
+                estimates.get(channel, independent)
+                for channel in CHANNELS_AND_EVENTS[: len(seen)]
+            ]
+        )
     gaps = np.diff(times, append=times[-1])
     whitening: Filter = _filter(noise.kind, values, gaps, seen)
     in_numpy: Filter = jax.tree.map(np.asarray, whitening)
@@ -168,23 +185,33 @@ def scale_between(before: Floats, weight: Floats) -> Floats:
     """Factor between weights before and now, by channel; 1 where nothing
     was observed."""
     largest = weight.max(1)
-    return np.where(
-        largest > 0, before.max(1) / np.where(largest > 0, largest, 1.0), 1.0
-    )
+    is_observed = largest > 0
+    ratio = before.max(1) / np.where(is_observed, largest, 1.0)
+    return np.where(is_observed, ratio, 1.0)
 
 
 def posterior_mean(
     noise: Noise, times: Floats, weight: Floats, data: Linearized
 ) -> Floats:
     """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006,
-    eq. 2.25), beside the path of the law; SI, shape (channels, n). Parameters as
-    of `Whitener.of`."""
-    own = filter_of(noise, times, data.weight > 0)
-    regression = regression_of(data, own, scale_between(data.weight, weight))
-    found: Floats = np.asarray(data.paid) @ regression.mean(_sizes_of(noise))
-    return found
+    eq. 2.25), beside the path of the law; SI, shape (channels, n).
+
+    Parameters
+    ----------
+    times : s since the first row, shape (n,).
+    weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
+    data : the fit with independent noise to first order.
+    """
+    noise_filter = filter_of(noise, times, data.weight > 0)
+    scale = scale_between(data.weight, weight)
+    regression = regression_of(data, noise_filter, scale)
+    mean: Floats = np.asarray(data.adjusted_responses) @ regression.mean(
+        _sizes_of(noise)
+    )
+    return mean
 
 
-def _filtered(own: Filter, columns: Floats) -> Floats:
-    found = np.array(own.innovations(columns))
-    return found.reshape(-1, found.shape[-1])
+def _filtered(noise_filter: Filter, columns: Floats) -> Floats:
+    """Columns after a filter, shape (values of all channels, columns)."""
+    innovations = np.array(noise_filter.innovations(columns))
+    return innovations.reshape(-1, innovations.shape[-1])

@@ -17,7 +17,7 @@ from curlfit.inference.model.likelihood import predict_channels
 from curlfit.inference.model.problem import ROWS_OF_DATA, Problem
 from curlfit.inference.noise.whitening import whitened
 from curlfit.losses import LOSSES, Loss
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.frames import optional
 from curlfit.version import __version__
 
@@ -28,38 +28,36 @@ _MOST_CORRELATED = 6000  # largest number of values whose covariance is inverted
 def inference_data(
     fit: FitResult, samples: Floats, log_posterior: Floats, *, draws: int, seed: int
 ) -> Any:
-    """See `Chain.to_arviz`.
+    """A posterior sample as ArviZ has it, see `Chain.to_arviz`.
 
     Parameters
     ----------
-    samples : shape (ensembles, walkers, steps, parameters). log_posterior : the same
-        without the last axis.
+    samples : shape (ensembles, walkers, steps, parameters).
+    log_posterior : shape (ensembles, walkers, steps).
     """
     if draws < 1:
         raise InputError(f"draws = {draws}: expected a positive number")
-    # its first import of a day announces the next version
+    # the first import of ArviZ in a day announces its next version
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         arviz = optional("arviz", "arviz")
     ensembles, walkers, steps, size = samples.shape
-    thin = -(-ensembles * walkers * steps // draws)
-    kept = samples[:, :, ::thin]
+    thin = -(-ensembles * walkers * steps // draws)  # rounded up
+    steps_kept = np.arange(0, steps, thin)
     # Draws of one walker are consecutive, so that autocorrelations are those of
     # the walkers.
-    flat = kept.reshape(ensembles, -1, size)
+    flat = samples[:, :, ::thin].reshape(ensembles, -1, size)
+    flat_log_posterior = log_posterior[:, :, ::thin].reshape(ensembles, -1)
     index = {
         "chain": np.arange(ensembles),
         "draw": np.arange(flat.shape[1]),
-        "walker": ("draw", np.repeat(np.arange(walkers), kept.shape[2])),
-        "step": ("draw", np.tile(np.arange(0, steps, thin), walkers)),
+        "walker": ("draw", np.repeat(np.arange(walkers), len(steps_kept))),
+        "step": ("draw", np.tile(steps_kept, walkers)),
     }
     groups = {
         "posterior": (_parameters(fit, flat), index),
         "log_prior": (_log_priors(fit, flat), index),
-        "sample_stats": (
-            {"lp": (_DRAWS, log_posterior[:, :, ::thin].reshape(ensembles, -1))},
-            index,
-        ),
+        "sample_stats": ({"lp": (_DRAWS, flat_log_posterior)}, index),
         **_of_data(fit, flat, index, np.random.default_rng(seed)),
     }
     attrs = {
@@ -71,30 +69,33 @@ def inference_data(
         "thinning": thin,
     }
     xarray = import_module("xarray")
-    sets = {name: xarray.Dataset(*each) for name, each in groups.items()}
+    datasets = {
+        name: xarray.Dataset(variables, coordinates)
+        for name, (variables, coordinates) in groups.items()
+    }
     if arviz.__version__.startswith("0."):
-        return arviz.InferenceData(**sets, attrs=attrs)
-    return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=attrs), **sets})
+        return arviz.InferenceData(**datasets, attrs=attrs)
+    return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=attrs), **datasets})
 
 
 def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Free parameters and determined combinations of samples (..., parameters)."""
-    found = with_combinations(fit.parameter_set.names, flat, fit.combinations)
+    samples = with_combinations(fit.parameter_set.names, flat, fit.combinations)
     fixed = fit.parameter_set.fixed
     return {
-        name: (_DRAWS, values) for name, values in found.items() if name not in fixed
+        name: (_DRAWS, values) for name, values in samples.items() if name not in fixed
     }
 
 
 def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Log-densities of the priors of free parameters, each up to a constant; a
     flat one is 0."""
-    known = fit.parameter_set
-    logs = -0.5 * known.penalty.residual_and_slope(flat)[0] ** 2
+    parameters = fit.parameter_set
+    log_priors = -0.5 * parameters.penalty.residual_and_slope(flat)[0] ** 2
     return {
-        name: (_DRAWS, logs[..., row])
-        for row, name in enumerate(known.names)
-        if name not in known.fixed
+        name: (_DRAWS, log_priors[..., index])
+        for index, name in enumerate(parameters.names)
+        if name not in parameters.fixed
     }
 
 
@@ -104,51 +105,52 @@ def _of_data(
     """Variables and coordinates of the groups about the data, by channel."""
     problem = problem_of(fit)
     seen = np.asarray(problem.weight) > 0
-    rows, _ = np.nonzero(seen)
-    names, times = {}, {"time": fit.observed["t"]}
-    for row in dict.fromkeys(rows.tolist()):
-        name, there = ROWS_OF_DATA[row], seen[row, : len(times["time"])]
-        dimension = "time" if there.all() else f"time_{name}"
-        if name == "event":
-            dimension, times["measured"] = (
-                "measured",
-                np.array([event.name for event in fit.events]),
-            )
-        elif dimension != "time":
-            times[dimension] = times["time"][there]
-        names[row] = name, dimension
+    row_of_value, _ = np.nonzero(seen)
+    is_of_channel: dict[str, Booleans] = {}
+    dimensions: dict[str, str] = {}
+    times = {"time": fit.observed["t"]}
+    for row in np.flatnonzero(seen.any(1)):
+        channel = ROWS_OF_DATA[row]
+        is_of_channel[channel] = row_of_value == row
+        if channel == "event":
+            dimensions[channel] = "measured"
+            times["measured"] = np.array([event.name for event in fit.events])
+            continue
+        is_timed = seen[row, : len(times["time"])]  # rows that pad the data left out
+        if is_timed.all():
+            dimensions[channel] = "time"
+        else:
+            dimensions[channel] = f"time_{channel}"
+            times[f"time_{channel}"] = times["time"][is_timed]
 
     def by_channel(array: Floats, *outer: str, prefix: str = "") -> dict[str, Any]:
+        """Variables of an array whose last axis is that of the values seen."""
         return {
-            prefix + name: ((*outer, dimension), array[..., rows == row])
-            for row, (name, dimension) in names.items()
+            prefix + channel: ((*outer, dimension), array[..., is_of_channel[channel]])
+            for channel, dimension in dimensions.items()
         }
 
     def by_draw(array: Floats) -> dict[str, Any]:
         return by_channel(array.reshape(*flat.shape[:2], -1), *_DRAWS)
 
-    size = flat.shape[-1]
-    paths = np.array(
-        [
-            np.asarray(predict_channels(fit.model, values, problem))[: len(seen)][seen]
-            for values in flat.reshape(-1, size)
-        ]
-    )
+    paths = []
+    for parameters in flat.reshape(-1, flat.shape[-1]):
+        path = np.asarray(predict_channels(fit.model, parameters, problem))
+        paths.append(path[: len(seen)][seen])
     sigma = 1 / problem.weight[seen]
     values = _measured(fit, problem)[seen]
-    mean = values + paths - problem.observed[seen]
+    # events are on the clock of the data in `values`, on that of the path in `paths`
+    mean = values + np.array(paths) - problem.observed[seen]
     noise = whitening_matrix(problem)
     loss = LOSSES[fit.loss]
     replicated = mean + sigma * draw_noise(random, mean.shape, noise, loss)
     pointwise = log_likelihoods((values - mean) / sigma, noise, loss) - np.log(sigma)
+    constant = {"t": ("time", times["time"]), **by_channel(sigma, prefix="sigma_")}
     return {
         "posterior_predictive": (by_draw(replicated), index | times),
         "log_likelihood": (by_draw(pointwise), index | times),
         "observed_data": (by_channel(values), times),
-        "constant_data": (
-            {"t": ("time", times["time"]), **by_channel(sigma, prefix="sigma_")},
-            times,
-        ),
+        "constant_data": (constant, times),
     }
 
 
@@ -180,12 +182,12 @@ def whitening_matrix(problem: Problem) -> Floats | None:
             f"{_MOST_CORRELATED}: fit fewer rows"
         )
 
-    def white(values: Any) -> Any:
-        return whitened(
-            jax.numpy.zeros(seen.shape).at[seen].set(values), problem.whitener
-        )[seen]
+    def whitened_values(values: Any) -> Any:
+        residual = jax.numpy.zeros(seen.shape).at[seen].set(values)
+        return whitened(residual, problem.whitener)[seen]
 
-    return np.asarray(jax.jacfwd(white)(np.zeros(number)))
+    # whitening is linear: its matrix is its derivative, anywhere
+    return np.asarray(jax.jacfwd(whitened_values)(np.zeros(number)))
 
 
 def log_likelihoods(residual: Floats, whitening: Floats | None, loss: Loss) -> Floats:
@@ -198,10 +200,11 @@ def log_likelihoods(residual: Floats, whitening: Floats | None, loss: Loss) -> F
     """
     if whitening is None:
         return loss.log_density(residual)
-    diagonal = (whitening**2).sum(0)
-    pull = residual @ whitening.T @ whitening
-    found: Floats = 0.5 * (np.log(diagonal) - pull**2 / diagonal - np.log(2 * np.pi))
-    return found
+    precision = (whitening**2).sum(0)  # c
+    pull = residual @ whitening.T @ whitening  # g
+    doubled = np.log(precision) - pull**2 / precision - np.log(2 * np.pi)
+    log_densities: Floats = 0.5 * doubled
+    return log_densities
 
 
 def draw_noise(

@@ -32,6 +32,7 @@ from curlfit.version import __version__
 _GROUP = "mcmc"  # in which emcee looks
 _COMPRESSED = 20
 """Largest size of numbers over that of their file."""
+_STATE = 5  # numbers and arrays in the state of numpy's `RandomState`
 _OF_0_2 = ("law", "load", "loss", "noise", "stone", "seed")
 """What of the subject of a chain of version 0.2 is said as it is today."""
 _DIGEST = "#"  # first character of a digest of numbers too many to be shown
@@ -45,10 +46,11 @@ class Chain(Displayed):
     ----------
     names : of the parameters, fixed ones included; of throws that vary, of what does:
         the mean, what groups and trends change, and the spread between throws.
-    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers);
-        NaN where unknown.
+    values : shape (steps, walkers, parameters).
+    log_posterior : shape (steps, walkers); NaN where unknown.
     discarded : number of initial steps left out.
-    ensembles : number of ensembles of equally many walkers. seed : of the run.
+    ensembles : number of ensembles of equally many walkers.
+    seed : of the random numbers.
     subject : what was sampled, see `subject_of`.
     random_state : of numpy's `RandomState` after the last step, for resuming; None
         where unknown.
@@ -97,9 +99,9 @@ class Chain(Displayed):
 
     def of(self, weights: dict[str, float]) -> Floats:
         """Samples of a combination of parameters."""
-        places = [self.names.index(name) for name in weights]
-        found: Floats = self.flat[:, places] @ np.array([*weights.values()])
-        return found
+        columns = [self.names.index(name) for name in weights]
+        sums: Floats = self.flat[:, columns] @ np.array([*weights.values()])
+        return sums
 
     @property
     def kept(self) -> Floats:
@@ -108,12 +110,12 @@ class Chain(Displayed):
         return self._by_ensemble(self.values)
 
     def _by_ensemble(self, series: Floats) -> Floats:
-        _, walkers, *rest = series.shape
+        """What is kept of a series (steps, walkers, ...), by ensemble."""
         kept = series[self.discarded :]
-        split = kept.reshape(
-            len(kept), self.ensembles, walkers // self.ensembles, *rest
-        )
-        return np.moveaxis(split, 0, 2)
+        steps, walkers, *others = kept.shape
+        in_ensemble = walkers // self.ensembles
+        by_ensemble = kept.reshape(steps, self.ensembles, in_ensemble, *others)
+        return np.moveaxis(by_ensemble, 0, 2)
 
     def to_frame(self) -> Any:
         """The kept samples as a pandas DataFrame: a column for each parameter, for each
@@ -143,12 +145,15 @@ class Chain(Displayed):
         ------
         InputError : the chain is of another fit.
         """
-        now = subject_of(fit, self.seed) | {"parameters": ", ".join(fit.parameters)}
-        own = self.subject | {"parameters": ", ".join(self.names)}
-        versions = {name: own[name] for name in own if name.startswith("version")}
-        if "data" not in own:  # of version 0.2
-            now = {name: now[name] for name in own}
-        if changed := _change(own, now | versions):
+        sampled = self.subject | {"parameters": ", ".join(self.names)}
+        expected = subject_of(fit, self.seed)
+        expected["parameters"] = ", ".join(fit.parameters)
+        if "data" not in sampled:  # of version 0.2
+            expected = {name: expected[name] for name in sampled}
+        for name, version in sampled.items():
+            if name.startswith("version"):  # a chain of another version can be read
+                expected[name] = version
+        if changed := _change(sampled, expected):
             raise InputError(
                 f"the chain is of another fit: {changed}; sample this one again"
             )
@@ -201,17 +206,21 @@ class Chain(Displayed):
         image = BytesIO()
         with h5py.File(image, "w") as out:
             group = out.create_group(_GROUP)
-            group["chain"], group["log_prob"] = self.values, self.log_posterior
+            group["chain"] = self.values
+            group["log_prob"] = self.log_posterior
             group["accepted"] = self.accepted
             steps, walkers, dimension = self.values.shape
-            state = enumerate(self.random_state or ())
+            random_state = {
+                f"random_state_{index}": part
+                for index, part in enumerate(self.random_state or ())
+            }
             group.attrs.update(
                 version=version_of("emcee"),
                 iteration=steps,
                 nwalkers=walkers,
                 ndim=dimension,
                 has_blobs=False,
-                **{f"random_state_{place}": item for place, item in state},
+                **random_state,
                 names=list(self.names),
                 discarded=self.discarded,
                 ensembles=self.ensembles,
@@ -277,25 +286,26 @@ def _read_chain(stored: Any) -> Chain:
         attrs = stored.attrs
     names = tuple(map(str, attrs["names"]))
     ensembles = int(attrs["ensembles"])
-    values, log_posterior = _numbers(group["chain"]), _numbers(group["log_prob"])
-    steps, walkers, _ = values.shape
+    values = _numbers(group["chain"])
+    log_posterior = _numbers(group["log_prob"])
+    steps, walkers, dimension = values.shape
     discarded = int(attrs["discarded"])
     if (
         log_posterior.shape != (steps, walkers)
-        or len(names) != values.shape[2]
+        or len(names) != dimension
         or not 0 <= discarded <= steps
-        or walkers // ensembles * ensembles != walkers
-        or not walkers
+        or walkers % ensembles != 0
+        or walkers == 0
     ):
         raise ValueError(f"{walkers} walkers, {steps} steps, {discarded} discarded")
     subject = structured(json.loads(attrs["subject"]), dict[str, str])
     if is_of_0_2:
         subject = {name: subject[name] for name in _OF_0_2 if name in subject}
-    state = None
+    random_state = None
     if "random_state_0" in attrs:
-        name, key, *rest = (attrs[f"random_state_{place}"] for place in range(5))
-        state = (str(name), key, *(item.item() for item in rest))
-        np.random.RandomState().set_state(state)  # raises an error where it is none
+        name, key, *numbers = [attrs[f"random_state_{part}"] for part in range(_STATE)]
+        random_state = (str(name), key, *(number.item() for number in numbers))
+        np.random.RandomState().set_state(random_state)  # an error where it is none
     return Chain(
         names=names,
         values=values,
@@ -304,7 +314,7 @@ def _read_chain(stored: Any) -> Chain:
         ensembles=ensembles,
         seed=int(attrs["seed"]),
         subject=subject,
-        random_state=state,
+        random_state=random_state,
         mostly_ridge=bool(attrs.get("mostly_ridge", True)),
     )
 
@@ -326,32 +336,33 @@ def subject_of_fit(
     load: str,
     stone: Stone,
     parameters: ParameterSet,
-    loss: str = "linear",
-    noise: str = "white",
+    loss: str,
+    noise: str,
 ) -> dict[str, str]:
     """What identifies a fit, as short texts by name; many numbers are
     replaced by digests."""
-    sigma = [values for _, values in sorted(throw.sigma.items())]
-    text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
-    return {
-        "data": digest(throw.t, throw.observed, *sigma, text=text),
-        **({"law": law} if isinstance(law, str) else _law(law)),
+    channels = sorted(throw.sigma)
+    sigmas = [throw.sigma[name] for name in channels]
+    text = ",".join(channels) + "".join(map(repr, throw.events))
+    subject = {"data": digest(throw.t, throw.observed, *sigmas, text=text)}
+    subject |= {"law": law} if isinstance(law, str) else _law(law)
+    stone_values = stone.as_dict().items()
+    priors = [f"{name} {prior}" for name, prior in parameters.priors.items()]
+    subject |= {
         "load": load,
         "loss": loss,
         "noise": noise,
-        "stone": ", ".join(
-            f"{name} = {value!r}" for name, value in stone.as_dict().items()
-        ),
-        "priors": "; ".join(f"{name} {one}" for name, one in parameters.priors.items())
-        or "none",
-    } | {
-        f"bounds of {item.name}": f"{item.lower!r}:{item.upper!r}"
-        for item in parameters.parameters
+        "stone": ", ".join(f"{name} = {value!r}" for name, value in stone_values),
+        "priors": "; ".join(priors) or "none",
     }
+    for parameter in parameters.parameters:
+        bounds = f"{parameter.lower!r}:{parameter.upper!r}"
+        subject[f"bounds of {parameter.name}"] = bounds
+    return subject
 
 
 def subject_of_saved(fit: FitResult) -> dict[str, str]:
-    """The same for a fit result; without the law's file where the law is
+    """What identifies a fit, from its result; without the law's file where the law is
     not at hand."""
     return subject_of_fit(
         fit.throw,
@@ -365,15 +376,17 @@ def subject_of_saved(fit: FitResult) -> dict[str, str]:
 
 
 def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
-    """What identifies a chain, in the same form."""
-    own = subject_of_saved(fit)
-    noise = [fit.sigma[name] for name in sorted(fit.sigma)]
+    """What identifies a chain, as short texts by name."""
+    estimates_of_noise = [fit.sigma]
     for name in (*fit.noise.parameters, "sizes"):
-        estimates = getattr(fit.noise, name)
-        noise += [estimates[key] for key in sorted(estimates)]
-    information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
-    return own | {
-        "least-squares result": digest(fit.values, np.array(noise), *information),
+        estimates_of_noise.append(getattr(fit.noise, name))
+    noise = [
+        estimates[key] for estimates in estimates_of_noise for key in sorted(estimates)
+    ]
+    matrix = np.array(fit.information.matrix)
+    gradient = np.array(fit.information.gradient)
+    return subject_of_saved(fit) | {
+        "least-squares result": digest(fit.values, np.array(noise), matrix, gradient),
         "seed": str(seed),
         "version of curlfit": __version__,
         "version of emcee": version_of("emcee"),
@@ -387,14 +400,14 @@ def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) 
 
 
 def _change(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """What is first not the same; empty if all is."""
+    """The first difference between two subjects in words; empty if there is none."""
     for name, value in now.items():
-        was = stored.get(name, "unknown")
-        if was != value:
-            hidden = value.startswith(_DIGEST)
-            return (
-                f"not the same {name}" if hidden else f"{name} was {was}, now {value}"
-            )
+        before = stored.get(name, "unknown")
+        if before == value:
+            continue
+        if value.startswith(_DIGEST):
+            return f"not the same {name}"
+        return f"{name} was {before}, now {value}"
     return ""
 
 
@@ -406,10 +419,10 @@ def _law(law: type[Law]) -> dict[str, str]:
 
 def digest(*arrays: Floats, text: str = "") -> str:
     """A short text that differs for other numbers or another text."""
-    found = hashlib.sha256(text.encode())
+    content = hashlib.sha256(text.encode())
     for array in arrays:
-        array = np.asarray(array, float)
+        numbers = np.asarray(array, float)
         # all zeros alike and all NaNs alike, whatever their bits
-        clean = np.where(np.isnan(array), np.nan, array + 0.0)
-        found.update(repr(clean.shape).encode() + clean.tobytes())
-    return _DIGEST + found.hexdigest()[:16]
+        clean = np.where(np.isnan(numbers), np.nan, numbers + 0.0)
+        content.update(repr(clean.shape).encode() + clean.tobytes())
+    return _DIGEST + content.hexdigest()[:16]

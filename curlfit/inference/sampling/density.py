@@ -19,9 +19,10 @@ class PosteriorDensity:
 
     Attributes
     ----------
-    names, free : of all parameters, and which of them may vary.
-    lower, upper : bounds of those.
-    batch : number of vectors that are evaluated side by side.
+    names : of all parameters.
+    free : which of them may vary.
+    lower, upper : bounds of the free parameters.
+    batch : number of parameter vectors that are evaluated side by side.
     """
 
     names: tuple[str, ...]
@@ -32,7 +33,6 @@ class PosteriorDensity:
 
     def __init__(self, fit: FitResult) -> None:
         parameters = fit.parameter_set
-        problem = problem_of(fit)
         self.names = parameters.names
         self.free = parameters.free
         self.lower = parameters.lower[self.free]
@@ -40,28 +40,33 @@ class PosteriorDensity:
         self.batch = lanes(self.free)
         self._estimates = fit.values
         self._model = fit.model
-        self._about = parameters.lower, parameters.upper, problem, parameters.penalty
+        self._parameters = parameters
+        self._problem = problem_of(fit)
 
     def whole(self, free_values: Floats) -> Floats:
-        """Values of all parameters, those that are held at their own.
-
-        Parameters
-        ----------
-        free_values : shape (..., free parameters), as that of the next.
-        """
+        """Values of all parameters, the fixed ones at their estimates, from those of
+        the free ones, shape (..., free parameters)."""
         values = np.tile(self._estimates, (*free_values.shape[:-1], 1))
         values[..., self.free] = free_values
         return values
 
     def log(self, free_values: Floats) -> Floats:
-        """Log-density up to a constant, shape (n,); minus infinity outside
-        the bounds."""
+        """Log-density up to a constant, shape (n,), at values of the free parameters,
+        shape (n, free parameters); minus infinity outside the bounds."""
+        parameters = self._parameters
 
-        def of(values: Floats) -> Any:
-            return log_posterior(self._model, values, *self._about)
+        def log_density(values: Floats) -> Any:
+            return log_posterior(
+                self._model,
+                values,
+                parameters.lower,
+                parameters.upper,
+                self._problem,
+                parameters.penalty,
+            )
 
         values = self.whole(free_values)
-        return np.asarray(in_batches(of, (values,), self.batch))
+        return np.asarray(in_batches(log_density, (values,), self.batch))
 
 
 def lanes(free: Booleans) -> int:

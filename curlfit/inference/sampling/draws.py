@@ -8,7 +8,7 @@ import numpy as np
 
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.sampling.density import PosteriorDensity
-from curlfit.inference.sampling.ridge import Proposal, posterior_proposal
+from curlfit.inference.sampling.ridge import posterior_proposal
 from curlfit.numerics.arrays import Floats
 
 _PROPOSED = 8
@@ -29,13 +29,14 @@ class WeightedProposals(NamedTuple):
     def of(cls, fit: FitResult, number: int, random: np.random.Generator) -> Self:
         """A number of proposals for a fit that converged."""
         density = PosteriorDensity(fit)
-        proposal: Proposal = posterior_proposal(fit)
+        proposal = posterior_proposal(fit)
         free_values = proposal.draw(number, random)
         at_estimates = density.log(fit.values[None, density.free])
-        relative = density.log(free_values) - at_estimates
+        log_posterior = density.log(free_values) - at_estimates
+        # the density of the proposal is one in typical sizes
         typical = fit.parameter_set.typical[density.free]
         log_proposed = proposal.log_density(free_values) - np.log(typical).sum()
-        log_ratio = relative - log_proposed
+        log_ratio = log_posterior - log_proposed
         log_ratio = np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
         return cls(density.whole(free_values), log_ratio)
 
@@ -64,6 +65,6 @@ def draws_along_ridge(
     proposals = WeightedProposals.of(fit, _PROPOSED * number, random)
     weights = proposals.weights
     # evenly spaced along the cumulated weights, which adds the least noise
-    places = (random.uniform() + np.arange(number)) / number
-    chosen = np.searchsorted(np.cumsum(weights), places).clip(max=len(weights) - 1)
+    levels = (random.uniform() + np.arange(number)) / number
+    chosen = np.searchsorted(np.cumsum(weights), levels).clip(max=len(weights) - 1)
     return random.permutation(proposals.values[chosen]), proposals.effective

@@ -17,12 +17,12 @@ def _imported() -> Any:
     # An import of what is None fails, which emcee allows for.
     sys.modules[_UNUSED] = None  # type: ignore[assignment]
     try:
-        found = import_module("emcee")
+        module = import_module("emcee")
     finally:
         del sys.modules[_UNUSED]
     move: Any = import_module("emcee.moves.kde")
     move.gaussian_kde = _gaussian_kde
-    return found
+    return module
 
 
 def _gaussian_kde(*arguments: Any, **named: Any) -> Any:

@@ -35,21 +35,27 @@ Indices = NDArray[np.int64]
 _MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
 # of freedom of the Student distribution: heavier tails than any Gaussian posterior
 _DEGREES = 8.0
-# standard errors of a weakly determined parameter, along which optima are sought
-_REACH = 8.0
-_CELLS, _PASSES = 96, 6  # intervals of it, and how often they are chosen anew
-# of the probability, to be shared as if intervals were as dense as their neighbours
-_ROUGH = 0.2
-_BEYOND = 0.5  # of a ridge, by which the proposal extends beyond its ends
-# probability density at an end over the highest, above which it has not ended, and
-# share of the next intervals that lie beyond it
-_ENDED, _BEYOND_ENDS = 1e-5, 0.1
-_FAINT = 1e-9  # push against a bound that is none
-_FAR = 100.0  # standard errors from a tangent, above which it says nothing
-_NOTHING = 1e-6  # probability of an interval that is given up
 _LEVEL = 1.0
 """Width of the bounds in standard errors, below which the probability is all but
 uniform along a direction."""
+_FAINT = 1e-9  # slope of the log-density away from a bound that exerts none
+_NO_PART = 1e-12  # square of the part of a parameter in null directions, if rounding
+
+# Of a curved ridge:
+_REACH = 8.0
+"""Standard errors of a weakly determined parameter, along which optima are sought."""
+_BEYOND = 0.5  # of a ridge, by which the proposal extends beyond its ends
+_CELLS = 96  # intervals of the parameter that is held
+_PASSES = 6  # how often the intervals are chosen anew
+_SMOOTHED = 0.2
+"""Share of the probability that is dealt out as if each interval were as dense as the
+densest of its neighbours: Laplace's approximation is rough where probability ends."""
+_ENDED = 1e-5
+"""Probability density at an end over the highest, above which it has not ended."""
+_BEYOND_ENDS = 0.1  # share of the next intervals that lie beyond such an end
+_FAR = 100.0  # standard errors from a tangent, above which it says nothing
+_NOTHING = 1e-6  # probability of an interval that is given up
+_AT_TURNS = 4.0  # times as many intervals where a parameter reaches its bound
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
 
@@ -65,11 +71,12 @@ class RidgeProposal:
     Attributes
     ----------
     centre, typical : of the parameters, shape (p,).
-    seen : rows of determined combinations, shape (r, p). spread : their
-        standard deviations.
-    pivots : indices of the pivots. low, high : their intervals, in `z`.
-    pushed : indices of the pushed parameters. scale : mean distance from the bound in
-        `z`, signed.
+    seen : rows of determined combinations, shape (r, p).
+    spread : standard deviations of these combinations.
+    pivots : indices of the pivots.
+    low, high : intervals of the pivots, in `z`.
+    pushed : indices of the pushed parameters.
+    scale : mean distance of the pushed parameters from their bounds in `z`, signed.
     """
 
     centre: Floats
@@ -84,22 +91,22 @@ class RidgeProposal:
 
     @cached_property
     def _inverse(self) -> Floats:
+        """The matrix that makes `z` of the coordinates."""
         unit = np.eye(len(self.centre))
-        return np.linalg.inv(
-            np.concatenate([self.seen, unit[self.pivots], unit[self.pushed]])
-        )
+        rows = [self.seen, unit[self.pivots], unit[self.pushed]]
+        return np.linalg.inv(np.concatenate(rows))
 
     def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
         """n parameter vectors, shape (n, p); Student or `gaussian` along
         determined directions."""
-        along = self.spread * random.standard_normal((n, len(self.seen)))
+        determined = self.spread * random.standard_normal((n, len(self.seen)))
         if not gaussian:
-            along *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
-        across = self.low + (self.high - self.low) * random.uniform(
-            size=(n, len(self.pivots))
-        )
-        off = self.scale * random.standard_exponential((n, len(self.pushed)))
-        z = np.concatenate([along, across, off], 1) @ self._inverse.T
+            determined *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
+        uniform = random.uniform(size=(n, len(self.pivots)))
+        along_ridge = self.low + (self.high - self.low) * uniform
+        off_bounds = self.scale * random.standard_exponential((n, len(self.pushed)))
+        coordinates = np.concatenate([determined, along_ridge, off_bounds], 1)
+        z = coordinates @ self._inverse.T
         draws: Floats = self.centre + self.typical * z
         return draws
 
@@ -110,14 +117,15 @@ class RidgeProposal:
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
         z = (values - self.centre) / self.typical
-        along = z @ self.seen.T / self.spread
-        rank = len(self.seen)
-        value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
-        across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
-        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(
-            1
-        )
-        return np.where(within, value - off.sum(1) - self.log_volume, -np.inf)
+        determined = z @ self.seen.T / self.spread
+        along_ridge = z[:, self.pivots]
+        off_bounds = z[:, self.pushed] / self.scale
+        power = -(_DEGREES + len(self.seen)) / 2
+        student = power * np.log1p((determined**2).sum(1) / _DEGREES)
+        log_density = student - off_bounds.sum(1) - self.log_volume
+        on_ridge = (along_ridge >= self.low) & (along_ridge <= self.high)
+        supported = on_ridge.all(1) & (off_bounds >= 0).all(1)
+        return np.where(supported, log_density, -np.inf)
 
     def distance(self, values: Floats) -> float:
         """Of values from the tangent of the ridge, in standard errors."""
@@ -126,14 +134,24 @@ class RidgeProposal:
 
     @cached_property
     def log_volume(self) -> float:
-        """Inverse of the density at the centre, in `z`."""
-        rank, half = len(self.seen), _DEGREES / 2
+        """Logarithm of the inverse of the density at the centre, in `z`."""
+        rank = len(self.seen)
+        half = _DEGREES / 2
         student = math.lgamma(half) - math.lgamma(half + rank / 2)
         student += rank / 2 * math.log(_DEGREES * math.pi)
         sizes = [*self.spread, *(self.high - self.low), *np.abs(self.scale)]
-        return float(
-            student + np.log(sizes).sum() + np.linalg.slogdet(self._inverse)[1]
-        )
+        log_determinant = np.linalg.slogdet(self._inverse)[1]
+        return float(student + np.log(sizes).sum() + log_determinant)
+
+
+class Cell(NamedTuple):
+    """A parameter that is held, and the interval of its values for which that
+    stands."""
+
+    parameter: int
+    """its index among the free ones"""
+    low: float
+    high: float
 
 
 def ridge_proposal(fit: FitResult) -> RidgeProposal:
@@ -155,14 +173,15 @@ def _about(
     information: Floats,
     gradient: Floats,
     at_bound: Booleans,
-    cell: tuple[int, float, float] | None = None,
+    cell: Cell | None = None,
 ) -> RidgeProposal:
     """The proposal about an optimum of the free parameters.
 
     Parameters
     ----------
-    gradient : of the log-likelihood.
-    cell : a parameter that is held there, and the interval of its values.
+    centre, information, gradient, at_bound : of the free parameters at the optimum;
+        `gradient` is that of the log-likelihood.
+    cell : of a curved ridge, along which a parameter is held.
     """
     free = parameters.free
     typical = parameters.typical[free]
@@ -170,55 +189,67 @@ def _about(
     upper = (parameters.upper[free] - centre) / typical
     information = typical[:, None] * information * typical
     gradient = gradient * typical
-    held = np.zeros(len(centre), bool)
+    is_held = np.zeros(len(centre), bool)
     if cell is not None:
-        held[cell[0]] = True
-    pushed, open_ = np.flatnonzero(at_bound & ~held), np.flatnonzero(~at_bound & ~held)
+        is_held[cell.parameter] = True
+    pushed = np.flatnonzero(at_bound & ~is_held)
+    inner = np.flatnonzero(~at_bound & ~is_held)
+    outer = np.flatnonzero(at_bound | is_held)
 
-    block = information[np.ix_(open_, open_)]
-    seen, singular, null = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
-    if len(open_):  # not all of the others at a bound
-        seen, singular, null = directions_of_squares(block, np.ones(len(open_)))
-        width = (upper - lower)[open_]
-        share = (np.abs(seen) / width).max(1, initial=0.0)
-        level = singular < _LEVEL * share
-        null = np.concatenate([null, seen[level]])
-        seen = seen[~level]
-        singular = singular[~level]
-    spread = 1 / singular
-    rows = np.zeros((len(seen), len(centre)))
-    rows[:, open_] = seen
-    # As another parameter moves, the open ones follow along their regression on it.
-    others = np.flatnonzero(at_bound | held)
-    rows[:, others] = (seen @ information[np.ix_(open_, others)]) / singular[
-        :, None
-    ] ** 2
-    wide = np.zeros((len(null), len(centre)))
-    wide[:, open_] = null
-    reach = np.zeros(len(centre))
-    reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
-    names = np.array(parameters.names_where(free))
-    pivots, low, high = _pivots(wide, lower, upper, reach, names)
-    if cell is not None:
-        index, *ends = cell
-        begin, end = (np.array(ends) - centre[index]) / typical[index]
-        pivots, low, high = (
-            np.append(pivots, index),
-            np.append(low, begin),
-            np.append(high, end),
+    directions = np.zeros((0, 0))
+    singular = np.zeros(0)
+    null = np.zeros((0, 0))
+    if len(inner):
+        directions, singular, null = directions_of_squares(
+            information[np.ix_(inner, inner)], np.ones(len(inner))
         )
+        # 1/singular is the error along a direction, 1/share the length of it that the
+        # bounds leave: where that is shorter, they say more than the data
+        share = (np.abs(directions) / (upper - lower)[inner]).max(1, initial=0.0)
+        is_level = singular < _LEVEL * share
+        null = np.concatenate([null, directions[is_level]])
+        directions = directions[~is_level]
+        singular = singular[~is_level]
+    spread = 1 / singular
+    rows = np.zeros((len(directions), len(centre)))
+    rows[:, inner] = directions
+    # As an outer parameter moves, the inner ones follow along their regression on it.
+    by_outer = directions @ information[np.ix_(inner, outer)]
+    rows[:, outer] = by_outer / singular[:, None] ** 2
+
+    null_rows = np.zeros((len(null), len(centre)))
+    null_rows[:, inner] = null
+    margin = np.zeros(len(centre))
+    margin[inner] = _MARGIN * np.sqrt(((directions.T * spread) ** 2).sum(1))
+    names = np.array(parameters.names_where(free))
+    pivots, low, high = _pivots(null_rows, lower, upper, margin, names)
+    if cell is not None:
+        at_centre = centre[cell.parameter]
+        unit = typical[cell.parameter]
+        pivots = np.append(pivots, cell.parameter)
+        low = np.append(low, (cell.low - at_centre) / unit)
+        high = np.append(high, (cell.high - at_centre) / unit)
+
     # Away from the bound the log-posterior falls by its slope and curvature, which
     # set the scale.
-    curvature = np.diag(information)[pushed] - (
-        (rows[:, pushed] * singular[:, None]) ** 2
-    ).sum(0)
-    push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
-    room = (upper - lower)[pushed]
-    least = np.where(np.isfinite(room), 1 / room, _FAINT)
+    followed = ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
+    curvature = np.diag(information)[pushed] - followed
+    slope = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
+    width = (upper - lower)[pushed]
+    least_slope = np.where(np.isfinite(width), 1 / width, _FAINT)
     inward = np.where(np.abs(lower) < np.abs(upper), 1.0, -1.0)[pushed]
     sense = np.where(gradient[pushed] == 0.0, inward, -np.sign(gradient[pushed]))
-    off = sense / np.maximum(push, least)
-    return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
+    return RidgeProposal(
+        centre=centre,
+        typical=typical,
+        seen=rows,
+        spread=spread,
+        pivots=pivots,
+        low=low,
+        high=high,
+        pushed=pushed,
+        scale=sense / np.maximum(slope, least_slope),
+    )
 
 
 @dataclass(frozen=True)
@@ -227,20 +258,23 @@ class CurvedRidge:
     parameter that is held there, and their probabilities."""
 
     parts: Sequence[RidgeProposal | None]
-    """None where no values fit, with the share 0"""
+    """by interval; None where no values fit"""
     shares: Floats
+    """probabilities of the intervals, 0 where no values fit"""
     held: int
+    """index of the parameter that is held among the free ones"""
     borders: Floats
+    """of the intervals, shape (intervals + 1,)"""
 
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
-        which = random.choice(len(self.parts), n, p=self.shares)
-        some_part = next(part for part in self.parts if part is not None)
-        values = np.zeros((n, len(some_part.centre)))
-        for index in np.unique(which).tolist():
+        interval = random.choice(len(self.parts), n, p=self.shares)
+        dimension = next(len(part.centre) for part in self.parts if part is not None)
+        values = np.zeros((n, dimension))
+        for index in np.unique(interval).tolist():
             part = self.parts[index]
             assert part is not None  # its share is not 0
-            here = which == index
+            here = interval == index
             values[here] = part.draw(int(here.sum()), random)
         return values
 
@@ -253,39 +287,40 @@ class CurvedRidge:
 
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
-        found = np.full(len(values), -np.inf)
-        which = np.searchsorted(self.borders, values[:, self.held]) - 1
-        for index in np.intersect1d(which, np.flatnonzero(self.shares)).tolist():
-            here = which == index
+        log_density = np.full(len(values), -np.inf)
+        interval = np.searchsorted(self.borders, values[:, self.held]) - 1
+        for index in np.intersect1d(interval, np.flatnonzero(self.shares)).tolist():
             part = self.parts[index]
             assert part is not None  # its share is not 0
+            here = interval == index
             log_share = math.log(self.shares[index])
-            found[here] = part.log_density(values[here]) + log_share
-        return found
+            log_density[here] = part.log_density(values[here]) + log_share
+        return log_density
 
 
 Proposal = RidgeProposal | CurvedRidge
 
 
 def proposed(proposal: Proposal, coords: Floats, random: Any) -> tuple[Floats, Floats]:
-    """Proposals for emcee's Metropolis-Hastings move, and the log of their factors
-    in its ratio."""
-    new, back = proposal.draw(len(coords), random), proposal.log_density(coords)
+    """Proposals for emcee's Metropolis-Hastings move, and the logarithms of the
+    proposal's density at the walkers over that at the proposals."""
+    proposals = proposal.draw(len(coords), random)
+    at_walkers = proposal.log_density(coords)
     # A walker outside the support of the proposal can only be moved by the other moves.
-    reachable = np.isfinite(back)
-    there = np.where(reachable, back, 0) - proposal.log_density(new)
-    return new, np.where(reachable, there, -np.inf)
+    reachable = np.isfinite(at_walkers)
+    log_ratio = np.where(reachable, at_walkers, 0) - proposal.log_density(proposals)
+    return proposals, np.where(reachable, log_ratio, -np.inf)
 
 
 class Axis(NamedTuple):
-    """The parameter that is held along a ridge."""
+    """The parameter that is held along a ridge, and the interval of its values."""
 
     name: str
     low: float
     high: float
     starts: Floats
-    """values of all parameters from which the others are refitted: those whose own
-    value of this one is nearest, shape (starts, p)"""
+    """values of all parameters from which the others are refitted, shape (starts, p):
+    of these that which has the nearest value of the parameter that is held"""
 
     @classmethod
     def of(cls, fit: FitResult) -> Axis | None:
@@ -294,42 +329,47 @@ class Axis(NamedTuple):
         if fit.ridge:
             return cls._of_ridge(fit)
         weakness = {
-            name: item.stderr / item.typical
-            for name, item in fit.parameters.items()
-            if item.verdict == Verdict.WEAK and item.stderr is not None
+            name: estimate.stderr / estimate.typical
+            for name, estimate in fit.parameters.items()
+            if estimate.verdict == Verdict.WEAK and estimate.stderr is not None
         }
         if not weakness:
             return None
         name = _preferred(weakness)
-        item = fit.parameters[name]
-        reach = _REACH * weakness[name] * item.typical
-        ends = np.clip([item.value - reach, item.value + reach], item.lower, item.upper)
-        return cls(name, float(ends[0]), float(ends[1]), fit.values[None])
+        estimate = fit.parameters[name]
+        reach = _REACH * weakness[name] * estimate.typical
+        low = max(estimate.value - reach, estimate.lower)
+        high = min(estimate.value + reach, estimate.upper)
+        return cls(name, float(low), float(high), fit.values[None])
 
     @classmethod
     def _of_ridge(cls, fit: FitResult) -> Axis:
-        """From end to end of a ridge that is known, and half of this farther; as far
-        about another solution as about the first."""
+        """The axis from end to end of the ridge that the fit has followed, and half of
+        this farther; as far about another solution as about the first."""
         points = np.array([fit.values, *(point.values for point in fit.ridge)])
         columns = dict(zip(fit.parameters, points.T, strict=True))
-        held = {point.held for point in fit.ridge if point.held is not None}
-        moving = held or {*fit.parameter_set.names_where(fit.parameter_set.free)}
-        open_ = {name for name in moving if fit.parameters[name].verdict.is_left_open}
+        moving = {point.held for point in fit.ridge if point.held is not None}
+        if not moving:
+            moving = {*fit.parameter_set.names_where(fit.parameter_set.free)}
+        left_open = {
+            name for name in moving if fit.parameters[name].verdict.is_left_open
+        }
         extents = {
             name: float(np.ptp(columns[name])) / fit.parameters[name].typical
-            for name in open_ or moving
+            for name in left_open or moving
         }
         name = _preferred(extents)
-        item = fit.parameters[name]
+        estimate = fit.parameters[name]
         column = columns[name]
-        reach = np.abs(column - item.value)
+        # points at which no parameter was held are solutions, such as a mirrored one
         is_solution = np.array([True, *(point.held is None for point in fit.ridge)])
+        distances = np.abs(column - estimate.value)
         if not is_solution[1:].all():
-            reach = reach[~is_solution]
+            distances = distances[~is_solution]
+        reach = (1 + _BEYOND) * float(distances.max())
         solutions = column[is_solution]
-        beyond = (1 + _BEYOND) * float(reach.max())
-        low = max(min(column.min(), solutions.min() - beyond), item.lower)
-        high = min(max(column.max(), solutions.max() + beyond), item.upper)
+        low = max(min(column.min(), solutions.min() - reach), estimate.lower)
+        high = min(max(column.max(), solutions.max() + reach), estimate.upper)
         return cls(name, float(low), float(high), points)
 
 
@@ -340,61 +380,68 @@ def _preferred(extents: Mapping[str, float]) -> str:
 
 
 def posterior_proposal(fit: FitResult) -> Proposal:
-    """The proposal about the estimates of a fit; where chi squared is no quadratic, or
-    some are weakly determined, about the optima with one of them held, since such a
-    ridge is curved."""
+    """The proposal about the estimates of a fit. Where chi squared is no quadratic, or
+    parameters are weakly determined, the ridge is curved: then about the optima with
+    one of them held."""
     axis = Axis.of(fit)
     return ridge_proposal(fit) if axis is None else _along(fit, axis)
 
 
 def _along(fit: FitResult, axis: Axis) -> Proposal:
-    """The proposal along an axis."""
+    """The proposal along an axis: the other parameters are refitted in the middle of
+    each of its intervals, which are then chosen anew."""
     parameters = fit.parameter_set
     problem = problem_of(fit)
-    place = parameters.index(axis.name)
+    index = parameters.index(axis.name)
+    index_of_free = int(parameters.free[:index].sum())
+    bounds = parameters.lower[index], parameters.upper[index]
     borders = np.linspace(axis.low, axis.high, _CELLS + 1)
-    middle = (borders[:-1] + borders[1:]) / 2
-    nearest = np.abs(axis.starts[:, place] - middle[:, None]).argmin(1)
+    middles = (borders[:-1] + borders[1:]) / 2
+    nearest = np.abs(axis.starts[:, index] - middles[:, None]).argmin(1)
     starts = axis.starts[nearest]
     for _ in range(_PASSES):
-        held = (borders[:-1] + borders[1:]) / 2
         tasks = [
             (parameters.with_fixed(axis.name, value), problem, start)
-            for value, start in zip(held, starts, strict=True)
+            for value, start in zip(middles, starts, strict=True)
         ]
         optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
+        cells = [Cell(index_of_free, low, high) for low, high in pairwise(borders)]
         parts = [
-            _about_solution(parameters, optimum, (place, low, high))
-            for optimum, (low, high) in zip(
-                unstacked(optima), pairwise(borders), strict=True
-            )
+            _about_solution(parameters, optimum, cell)
+            for optimum, cell in zip(unstacked(optima), cells, strict=True)
         ]
-        exists = np.array([part is not None for part in parts])
-        # Laplace's approximation to the probability of each interval, and, since that
-        # of a wide one where the probability ends is rough, a part as if it were as
-        # dense as its neighbours
+        # Laplace's approximation to the probability of each interval
         volumes = [-np.inf if part is None else part.log_volume for part in parts]
-        logs = np.array(volumes) - optima.objective / 2
-        logs = np.where(np.isfinite(logs), logs, -np.inf)
-        if np.isneginf(logs).all():
+        log_shares = np.array(volumes) - optima.objective / 2
+        log_shares = np.where(np.isfinite(log_shares), log_shares, -np.inf)
+        if np.isneginf(log_shares).all():
             return ridge_proposal(fit)
-        shares, width = np.exp(logs - logs.max()), np.diff(borders)
-        dense = np.pad(shares / width, 1)
-        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width * exists
-        shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
-        proposal = CurvedRidge(
-            parts, shares, int(parameters.free[:place].sum()), borders
-        )
-        density = _desired_density(parts, shares, width)
-        bounds = parameters.lower[place], parameters.upper[place]
-        borders, density = _extended(borders, density, shares / width, bounds)
+        widths = np.diff(borders)
+        shares = _smoothed(np.exp(log_shares - log_shares.max()), widths, parts)
+        proposal = CurvedRidge(parts, shares, index_of_free, borders)
+
+        density = _desired_density(parts, shares, widths)
+        borders, density = _extended(borders, density, shares / widths, bounds)
+        # borders at which the cumulated density rises by as much in each interval
         below = np.cumsum([0.0, *density])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
-        middle = (borders[:-1] + borders[1:]) / 2
-        starts = np.array(
-            [np.interp(middle, held, column) for column in optima.values.T]
-        ).T
+        refitted = middles
+        middles = (borders[:-1] + borders[1:]) / 2
+        columns = [np.interp(middles, refitted, column) for column in optima.values.T]
+        starts = np.transpose(columns)
     return proposal
+
+
+def _smoothed(
+    likely: Floats, widths: Floats, parts: Sequence[RidgeProposal | None]
+) -> Floats:
+    """Shares of intervals from their probabilities up to a factor; a part of them as if
+    each interval where values fit were as dense as the densest of its neighbours."""
+    exists = np.array([part is not None for part in parts])
+    dense = np.pad(likely / widths, 1)
+    dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * widths * exists
+    shares: Floats = (1 - _SMOOTHED) * likely / likely.sum()
+    return shares + _SMOOTHED * dense / dense.sum()
 
 
 def _extended(
@@ -414,16 +461,19 @@ def _extended(
     low = max(borders[0] - length, lower)
     high = min(borders[-1] + length, upper)
     if heights[0] > _ENDED * heights.max() and low < borders[0]:
-        borders, density = np.append(low, borders), np.append(share, density)
+        borders = np.append(low, borders)
+        density = np.append(share, density)
     if heights[-1] > _ENDED * heights.max() and high > borders[-1]:
-        borders, density = np.append(borders, high), np.append(density, share)
+        borders = np.append(borders, high)
+        density = np.append(density, share)
     return borders, density
 
 
 def _desired_density(
     parts: Sequence[RidgeProposal | None], shares: Floats, width: Floats
 ) -> Floats:
-    """How many of the next intervals each of these should hold.
+    """How many of the next intervals each of the present ones should hold, up to a
+    factor.
 
     Half of them follow the root of the density, which makes them narrow in its tails
     too, and are narrowest where a parameter reaches its bound. The other half are such
@@ -440,7 +490,7 @@ def _desired_density(
             turns.append(list(part.pushed) != list(other.pushed))
             bends.append(min(part.distance(other.centre), _FAR))
     at_turns = np.logical_or([False, *turns], [*turns, False])
-    by_density = np.sqrt(width * shares) * np.where(at_turns, 4, 1) * likely
+    by_density = np.sqrt(width * shares) * np.where(at_turns, _AT_TURNS, 1) * likely
     by_bend = np.sqrt([0.0, *bends]) + np.sqrt([*bends, 0.0])
     by_bend = np.nan_to_num(by_bend) * likely
     density = by_density / by_density.sum()
@@ -450,9 +500,7 @@ def _desired_density(
 
 
 def _about_solution(
-    parameters: ParameterSet,
-    optimum: Solution,
-    cell: tuple[int, float, float],
+    parameters: ParameterSet, optimum: Solution, cell: Cell
 ) -> RidgeProposal | None:
     """The proposal about an optimum with one parameter held; None where there is no
     path, or nothing that tells a parameter without bounds: where a stone does not
@@ -462,11 +510,11 @@ def _about_solution(
     free = parameters.free
     values = optimum.values
     jacobian = optimum.jacobian.reshape(-1, len(values))
-    gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
     _, slope, square = parameters.penalty.quadratic(values)
-    gradient, information = gradient + slope, information + np.diag(square)
-    ends = np.stack([parameters.lower, parameters.upper])
-    at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
+    gradient = optimum.residual.ravel() @ jacobian + slope
+    information = jacobian.T @ jacobian + np.diag(square)
+    bounds = np.stack([parameters.lower, parameters.upper])
+    at_bound = (np.abs(values - bounds) < _NEAR * parameters.typical).any(0)
     try:
         return _about(
             parameters,
@@ -474,37 +522,48 @@ def _about_solution(
             information[np.ix_(free, free)],
             -gradient[free],
             at_bound[free],
-            (int(free[: cell[0]].sum()), *cell[1:]),
+            cell,
         )
     except UnusableFitError:
         return None
 
 
 def _pivots(
-    null: Floats, lower: Floats, upper: Floats, reach: Floats, names: np.ndarray
+    null: Floats, lower: Floats, upper: Floats, margin: Floats, names: np.ndarray
 ) -> tuple[Indices, Floats, Floats]:
-    """A bounded parameter for each null direction, and its range along the ridge."""
+    """A bounded parameter for each null direction, and the ends of its range along the
+    ridge.
+
+    Parameters
+    ----------
+    null : null directions, shape (directions, parameters).
+    lower, upper : bounds of the parameters, from the optimum.
+    margin : by which the range extends beyond the bounds of the other parameters.
+    """
     pivots: list[int] = []
     rest = null.copy()
     bounded = np.isfinite(lower) & np.isfinite(upper)
     for _ in range(len(null)):
-        size = np.where(bounded, (rest**2).sum(0), 0.0)
-        if size.max() < 1e-12:
-            open_ = list(names[(rest**2).sum(0) >= 1e-12])
-            none_of = "which has no" if len(open_) == 1 else "and none of them has"
+        squares = (rest**2).sum(0)
+        of_bounded = np.where(bounded, squares, 0.0)
+        if of_bounded.max() < _NO_PART:
+            unbounded = list(names[squares >= _NO_PART])
+            none_of = "which has no" if len(unbounded) == 1 else "and none of them has"
             raise UnusableFitError(
-                f"the path does not determine {join_words(open_)}, "
+                f"the path does not determine {join_words(unbounded)}, "
                 f"{none_of} finite bounds; give bounds"
             )
-        pivot = int(np.argmax(size))
+        pivot = int(np.argmax(of_bounded))
         pivots.append(pivot)
+        # of the null directions, what leaves this pivot as it is
         column = rest[:, pivot] / np.linalg.norm(rest[:, pivot])
         rest = rest - np.outer(column, column @ rest)
     walls = np.concatenate([null.T, -null.T])
-    room = np.concatenate([upper + reach, reach - lower])
+    room = np.concatenate([upper + margin, margin - lower])
     finite = np.isfinite(room)
-    ends = [_extent(null[:, pivot], walls[finite], room[finite]) for pivot in pivots]
-    low, high = np.clip(np.array(ends).T.reshape(2, -1), lower[pivots], upper[pivots])
+    extents = [_extent(null[:, pivot], walls[finite], room[finite]) for pivot in pivots]
+    low = np.clip([least for least, _ in extents], lower[pivots], upper[pivots])
+    high = np.clip([most for _, most in extents], lower[pivots], upper[pivots])
     return np.array(pivots, int), low, high
 
 
@@ -512,16 +571,14 @@ def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
     """Least and greatest `along @ z` of all z with `walls @ z <= room`."""
     if len(along) == 1:
         wall = walls[:, 0]
-        low, high = (
-            sign * (room[some] / np.abs(wall[some])).min()
-            for sign, some in ((-1, wall < 0), (1, wall > 0))
-        )
-        least, greatest = sorted((float(along[0] * low), float(along[0] * high)))
-        return least, greatest
+        below = wall < 0
+        above = wall > 0
+        low = -(room[below] / np.abs(wall[below])).min()
+        high = (room[above] / np.abs(wall[above])).min()
+        ends = sorted((float(along[0] * low), float(along[0] * high)))
+        return ends[0], ends[1]
     from scipy.optimize import linprog  # slow, for one direction
 
-    least, greatest = (
-        linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun
-        for sign in (1, -1)
-    )
-    return float(least), -float(greatest)
+    least = linprog(along, A_ub=walls, b_ub=room, bounds=(None, None)).fun
+    greatest = -linprog(-along, A_ub=walls, b_ub=room, bounds=(None, None)).fun
+    return float(least), float(greatest)

@@ -8,7 +8,7 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from curlfit.inference.sampling.emcee_alone import emcee
 from curlfit.inference.sampling.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.sampling.summary import (
     CONVERGED,
+    FEWEST_STEPS,
     Diagnosis,
     is_test_due,
     steps_to_discard,
@@ -36,15 +37,16 @@ Progress = Callable[[float, int, float], None]
 
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
-_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
-# of all proposals, where fewer than a fifth along the ridge are accepted
+_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # shares where few ridge proposals are accepted
 _LEAST_ACCEPTANCE = 0.25
+"""Of all proposals, below which ensemble moves do most of the work: then fewer than a
+fifth of those along the ridge are accepted."""
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
-_EVERY = 2.0  # least time between two checkpoints, s
-_FEWEST = 4  # steps that can be judged
+_TRIES = 50  # rounds of proposals in which walkers of finite posterior are sought
 # probability beyond what a chain has reached, above which it has not converged
 _UNREACHED = 0.01
-_SHARE = 50  # of the time, in which checkpoints are written once
+_EVERY = 2.0  # least time between two checkpoints, s
+_TIMES_WRITING = 50  # least time between two checkpoints, in times that writing takes
 
 
 class SideBySide(emcee.moves.RedBlueMove):
@@ -52,18 +54,21 @@ class SideBySide(emcee.moves.RedBlueMove):
 
     def __init__(self, move: Any) -> None:
         super().__init__(randomize_split=False)  # halves of each ensemble
-        self.move, self.setup = move, move.setup
+        self.move = move
+        self.setup = move.setup
 
     def get_proposal(
         self, s: Floats, c: list[Floats], random: Any
     ) -> tuple[Floats, Floats]:
-        """Proposals for one half of each ensemble along lines through
-        its other half."""
+        """Proposals for one half of each ensemble (`s`) along lines through its other
+        half (in `c`), and the logarithms of their factors."""
+        coords = []
+        factors = []
         halves = zip(np.split(s, ENSEMBLES), np.split(c[0], ENSEMBLES), strict=True)
-        each = [
-            self.move.get_proposal(moving, [other], random) for moving, other in halves
-        ]
-        coords, factors = zip(*each, strict=True)
+        for moving, other in halves:
+            proposals, log_factors = self.move.get_proposal(moving, [other], random)
+            coords.append(proposals)
+            factors.append(log_factors)
         return np.concatenate(coords), np.concatenate(factors)
 
 
@@ -79,55 +84,80 @@ def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -
     )
 
 
-class Run:
-    """An unfinished chain. It may be interrupted at any point: completed
-    steps are kept.
+class Density(Protocol):
+    """A log-density that can be sampled.
 
     Attributes
     ----------
-    names, free : of the parameters, and which of them are sampled; those have the
-        bounds `lower` and `upper`. subject : what is sampled. proposal : from which
-        walkers begin.
+    names : of the parameters.
+    free : which of them are sampled.
+    lower, upper : bounds of the free parameters.
     """
 
     names: tuple[str, ...]
     free: Booleans
     lower: Floats
     upper: Floats
-    subject: dict[str, str]
-    proposal: Proposal
 
-    def __init__(self, seed: int, walkers: int) -> None:
-        self.seed, self._walkers = seed, walkers
+    def whole(self, free_values: Floats) -> Floats:
+        """Values of all parameters from those of the free ones."""
+
+    def log(self, free_values: Floats) -> Floats:
+        """Log-density of walkers, shape (walkers,)."""
+
+
+class Run:
+    """An unfinished chain. It may be interrupted at any point: completed
+    steps are kept.
+
+    Attributes
+    ----------
+    seed : of the random numbers.
+    mostly_ridge : whether most proposals are made along the ridge.
+    """
+
+    def __init__(
+        self,
+        density: Density,
+        proposal: Proposal,
+        subject: dict[str, str],
+        seed: int,
+        walkers: int,
+    ) -> None:
+        """A run without steps.
+
+        Parameters
+        ----------
+        proposal : from which walkers begin, of points along the ridge.
+        subject : what is sampled, see `subject_of`.
+        """
+        self._density = density
+        self._proposal = proposal
+        self._subject = subject
+        self.seed = seed
+        self._walkers = walkers
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
 
-    def log_prob(self, free_values: Floats) -> Floats:
-        """Log-posterior of walkers, shape (walkers,)."""
-        raise NotImplementedError
-
-    def whole(self, free_values: Floats) -> Floats:
-        """The values of all parameters."""
-        return free_values
-
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = emcee.moves.MHMove(partial(proposed, self.proposal))
-        stretch = SideBySide(emcee.moves.StretchMove())
-        differential = SideBySide(emcee.moves.DEMove(sigma=_JITTER))
+        moves = [
+            emcee.moves.MHMove(partial(proposed, self._proposal)),
+            SideBySide(emcee.moves.StretchMove()),
+            SideBySide(emcee.moves.DEMove(sigma=_JITTER)),
+        ]
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
-        moves = list(zip((ridge, stretch, differential), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
             self._walkers,
-            int(self.free.sum()),
-            self.log_prob,
+            int(self._density.free.sum()),
+            self._density.log,
             vectorize=True,
-            moves=moves,
+            moves=list(zip(moves, shares, strict=True)),
         )
         # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
-        self._sampler.log_prob_fn = self.log_prob
+        self._sampler.log_prob_fn = self._density.log
 
     @property
     def steps(self) -> int:
@@ -138,15 +168,14 @@ class Run:
         """Resume where a stored chain ended. Raises `DataError` if that is
         not possible."""
         chain = load_chain(file)
-        require_same(chain.subject, self.subject, file)
+        require_same(chain.subject, self._subject, file)
         if chain.random_state is None or not len(chain.values):
             raise DataError(
                 "cannot be resumed: the sampler's state is not in it", file=file
             )
         self.choose_moves(mostly_ridge=chain.mostly_ridge)
-        self._steps = list(
-            map(emcee.State, chain.values[..., self.free], chain.log_posterior)
-        )
+        free_values = chain.values[..., self._density.free]
+        self._steps = list(map(emcee.State, free_values, chain.log_posterior))
         self._steps[-1].random_state = chain.random_state
 
     def begin(self) -> None:
@@ -156,27 +185,25 @@ class Run:
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         coords = self._first_walkers(random)
-        log_prob, state = self.log_prob(coords), random.get_state()
-        self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
+        log_prob = self._density.log(coords)
+        self._last = emcee.State(
+            coords, log_prob=log_prob, random_state=random.get_state()
+        )
 
     def _first_walkers(self, random: Any) -> Floats:
         """Initial positions drawn from the proposal, with finite posterior."""
-        lower, upper = self.lower, self.upper
-        found: list[Floats] = []
-        for _ in range(50):
-            coords = self.proposal.draw(self._walkers, random)
+        lower = self._density.lower
+        upper = self._density.upper
+        walkers: list[Floats] = []
+        for _ in range(_TRIES):
+            coords = self._proposal.draw(self._walkers, random)
             # Near a bound a proposal falls outside half the time; reflect it back.
-            folded = np.where(coords < lower, 2 * lower - coords, coords)
-            folded = np.where(folded > upper, 2 * upper - folded, folded)
-            found.extend(folded[np.isfinite(self.log_prob(folded))])
-            if len(found) >= self._walkers:
-                return np.array(found[: self._walkers])
+            coords = np.where(coords < lower, 2 * lower - coords, coords)
+            coords = np.where(coords > upper, 2 * upper - coords, coords)
+            walkers.extend(coords[np.isfinite(self._density.log(coords))])
+            if len(walkers) >= self._walkers:
+                return np.array(walkers[: self._walkers])
         raise UnusableFitError("no point of finite posterior was found near the fit")
-
-    def start_over(self) -> None:
-        """Discard the steps so far as burn-in, and rely on the ensemble moves."""
-        self._steps = []
-        self.choose_moves(mostly_ridge=False)
 
     def step(self) -> None:
         """Do one step of all walkers."""
@@ -189,15 +216,15 @@ class Run:
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""
-        values = self.whole(np.stack([state.coords for state in self._steps]))
+        values = self._density.whole(np.stack([state.coords for state in self._steps]))
         return Chain(
-            names=self.names,
+            names=self._density.names,
             values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
             discarded=steps_to_discard(len(values)),
             ensembles=ENSEMBLES,
             seed=self.seed,
-            subject=self.subject,
+            subject=self._subject,
             random_state=self._steps[-1].random_state,
             mostly_ridge=self.mostly_ridge,
         )
@@ -209,7 +236,7 @@ class Run:
             return
         self.chain().save(file)
         after = monotonic()
-        self._next_write = after + max(_EVERY, _SHARE * (after - now))
+        self._next_write = after + max(_EVERY, _TIMES_WRITING * (after - now))
 
     def until(
         self,
@@ -220,23 +247,23 @@ class Run:
     ) -> tuple[str, Diagnosis | None]:
         """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the
         diagnosis of the chain, if it is known."""
+        free = self._density.free
         try:
             self.begin()
             while True:
                 if is_test_due(self.steps):
                     chain = self.chain()
                     if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
-                        self.start_over()
+                        self._steps = []  # they were burn-in
+                        self.choose_moves(mostly_ridge=False)
                         continue
-                    diagnosis = Diagnosis(
-                        chain.values[:, :, self.free], chain.ensembles
-                    )
+                    diagnosis = Diagnosis(chain.values[:, :, free], chain.ensembles)
                     if progress is not None:
                         progress(
                             diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
                         )
-                    kept = chain.flat[:, self.free]
-                    reaches_ends = self.proposal.unreached(kept) < _UNREACHED
+                    unreached = self._proposal.unreached(chain.flat[:, free])
+                    reaches_ends = unreached < _UNREACHED
                     if diagnosis.good(effective) and reaches_ends:
                         return CONVERGED, diagnosis
                     if self.steps >= most_steps:
@@ -247,29 +274,9 @@ class Run:
                 self.step()
                 self.write_if_due(file)
         except KeyboardInterrupt:
-            if self.steps < _FEWEST:
+            if self.steps < FEWEST_STEPS:
                 raise
             return "stopped by the user", None
-
-
-class _OfFit(Run):
-    """A chain about the optimum of a fit."""
-
-    def __init__(self, fit: FitResult, seed: int) -> None:
-        self._density = PosteriorDensity(fit)
-        self.names, self.free = self._density.names, self._density.free
-        self.lower, self.upper = self._density.lower, self._density.upper
-        self.subject = subject_of(fit, seed)
-        self.proposal = posterior_proposal(fit)
-        super().__init__(seed, 2 * self._density.batch)
-
-    def whole(self, free_values: Floats) -> Floats:
-        """The same with those that are held."""
-        return self._density.whole(free_values)
-
-    def log_prob(self, free_values: Floats) -> Floats:
-        """That of the path's data."""
-        return self._density.log(free_values)
 
 
 def sample(
@@ -321,7 +328,9 @@ def sample(
     True
     """
     require_fit(fit)
-    run = _OfFit(fit, seed)
+    density = PosteriorDensity(fit)
+    walkers = 2 * density.batch
+    run = Run(density, posterior_proposal(fit), subject_of(fit, seed), seed, walkers)
     file = None if checkpoint is None else Path(checkpoint)
     if resume:
         if file is None:
@@ -334,10 +343,11 @@ def sample(
         chain.save(file)
     sampled = summarised(fit, chain, ended, effective, diagnosis)
     sampled = replace(sampled, quantities=quantities_of(sampled, chain))
-    sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
+    expressions = [quantity.expression for quantity in fit.derived]
+    sampled = sampled.with_derived(expressions, chain)
     products = tuple(
-        replace(sampled.derive(item.expression, chain), meaning=item.meaning)
-        for item in fit.products
+        replace(sampled.derive(product.expression, chain), meaning=product.meaning)
+        for product in fit.products
     )
     sampled = replace(sampled, products=products)
     return sampled, replace(chain, fit=sampled)

@@ -26,12 +26,14 @@ from curlfit.numerics.arrays import Floats
 CONVERGED = "converged"
 """How a run ended that reached its targets."""
 _BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
-_R_HAT = 1.01
+_R_HAT = 1.01  # the largest of a sample that has converged (sect. 4)
 # quantiles whose effective sample sizes are those of the tails (sect. 4.3)
 _TAILS = (0.05, 0.95)
 # steps over autocorrelation time, below which no estimate is trusted
 _SHORTEST_IN_TIMES = 30.0
 _FEWEST = 5  # draws of a chain whose autocorrelations say anything
+FEWEST_STEPS = 4
+"""Steps of a chain from which on it can be judged."""
 
 
 def is_test_due(steps: int) -> bool:
@@ -58,15 +60,19 @@ class Diagnosis:
 
     def __init__(self, values: Floats, ensembles: int) -> None:
         """Of values (steps, walkers, parameters)."""
-        kept = values[steps_to_discard(len(values)) :].transpose(2, 1, 0)
-        half = kept.shape[2] // 2
-        halves = np.concatenate([kept[..., :half], kept[..., -half:]], 1)
-        self._kept, self._draws = kept, np.ascontiguousarray(halves)
-        self._halves = (2 * ensembles, -1)
+        # shape (parameters, walkers, steps), and the two halves of each walker, shape
+        # (parameters, 2 walkers, steps/2)
+        self._walkers = values[steps_to_discard(len(values)) :].transpose(2, 1, 0)
+        half = self._walkers.shape[2] // 2
+        first = self._walkers[..., :half]
+        last = self._walkers[..., -half:]
+        self._halves = np.ascontiguousarray(np.concatenate([first, last], 1))
+        self._ensembles = ensembles
 
     @cached_property
     def _scores(self) -> list[Floats]:
-        return [normal_scores(draws) for draws in self._draws]
+        """Normal scores of the halves of walkers, by parameter."""
+        return [normal_scores(draws) for draws in self._halves]
 
     @cached_property
     def bulk(self) -> Floats:
@@ -77,10 +83,10 @@ class Diagnosis:
     def tail(self) -> Floats:
         """Effective sample sizes of the tails, the smaller of those of
         two quantiles."""
-        ends = np.quantile(self._kept, _TAILS, (1, 2)).T
+        quantiles = np.quantile(self._walkers, _TAILS, (1, 2)).T
         sizes = [
-            [effective_size(draws <= end) for end in two]
-            for draws, two in zip(self._draws, ends, strict=True)
+            [effective_size(draws <= quantile) for quantile in of_parameter]
+            for draws, of_parameter in zip(self._halves, quantiles, strict=True)
         ]
         return np.min(sizes, 1)
 
@@ -88,14 +94,13 @@ class Diagnosis:
     def r_hat(self) -> Floats:
         """R-hat, the larger of that of the draws and that of their distances
         from the median."""
-        folded = [
-            normal_scores(np.abs(draws - np.median(draws))) for draws in self._draws
-        ]
-        both = [
-            [r_hat(each.reshape(self._halves)) for each in pair]
-            for pair in zip(self._scores, folded, strict=True)
-        ]
-        return np.max(both, 1)
+        distances = [np.abs(draws - np.median(draws)) for draws in self._halves]
+        folded = [normal_scores(draws) for draws in distances]
+        # the halves of all walkers of an ensemble are one chain each
+        shape = (2 * self._ensembles, -1)
+        of_draws = [r_hat(scores.reshape(shape)) for scores in self._scores]
+        of_distances = [r_hat(scores.reshape(shape)) for scores in folded]
+        return np.maximum(of_draws, of_distances)
 
     @property
     def least_effective(self) -> float:
@@ -111,11 +116,13 @@ class Diagnosis:
         """Whether the sample has converged, with at least this effective sample size,
         and each walker is 30 times as long as the autocorrelation time, its draws over
         those effective."""
-        wanted = max(effective, _SHORTEST_IN_TIMES * self._kept.shape[1])
-        long_enough = (
-            float(self.bulk.min()) >= wanted and float(self.tail.min()) >= effective
+        walkers = self._walkers.shape[1]
+        in_bulk = max(effective, _SHORTEST_IN_TIMES * walkers)
+        return (
+            float(self.bulk.min()) >= in_bulk
+            and float(self.tail.min()) >= effective
+            and self.worst_r_hat < _R_HAT
         )
-        return long_enough and self.worst_r_hat < _R_HAT
 
 
 def normal_scores(draws: Floats) -> Floats:
@@ -151,7 +158,8 @@ def effective_size(chains: Floats) -> float:
 def r_hat(chains: Floats) -> float:
     """Potential scale reduction factor of chains, shape (chains, draws) (eq. 1-4)."""
     n = chains.shape[1]
-    within, between = chains.var(1, ddof=1).mean(), chains.mean(1).var(ddof=1)
+    within = chains.var(1, ddof=1).mean()
+    between = chains.mean(1).var(ddof=1)
     if within == 0:
         return math.inf if between > 0 else 1.0
     return math.sqrt((n - 1) / n + between / within)
@@ -170,7 +178,7 @@ def unfinished_posterior(
         chain = chain.with_fit(fit)
     except InputError:  # of the fit before this one
         return None
-    if len(chain.values) < 4:
+    if len(chain.values) < FEWEST_STEPS:
         return None
     return replace(summarised(fit, chain, "not finished"), sampling="unfinished"), chain
 
@@ -189,8 +197,8 @@ def summarised(
     names = fit.parameter_set.names_where(free)
     diagnosis = diagnosis or Diagnosis(chain.values[:, :, free], chain.ensembles)
     fixed = fit.parameter_set.fixed
-    found = with_combinations(chain.names, chain.flat, fit.combinations)
-    quantities = {name: values for name, values in found.items() if name not in fixed}
+    samples = with_combinations(chain.names, chain.flat, fit.combinations)
+    quantities = {name: values for name, values in samples.items() if name not in fixed}
     correlation = np.atleast_2d(np.corrcoef(chain.flat[:, free].T))
 
     def by_name(numbers: Floats) -> dict[str, float]:

@@ -69,8 +69,8 @@ def drawn_for_others(fit: MixedFit, size: Floats, draws: Draws | None) -> Draws 
     return sampled(fit, size, seed=0)
 
 
-class _OfSpreads(Run):
-    """A chain of the spreads about their optimum.
+class _SpreadDensity:
+    """The posterior density of the spreads about their optimum.
 
     Its coordinates are asinh(spread/size): linear where a spread is near zero,
     logarithms where it is large, since with few throws its density has long tails. The
@@ -78,15 +78,12 @@ class _OfSpreads(Run):
     the chain needs no wall there.
     """
 
-    def __init__(
-        self, model: MixedModel, optimum: Floats, size: Floats, seed: int
-    ) -> None:
+    def __init__(self, model: MixedModel, optimum: Floats, size: Floats) -> None:
         self._model = model
         self._size = np.maximum(optimum, size)
         number = len(optimum)
         self.names = tuple(str(place) for place in range(number))
         self.free = np.ones(number, bool)
-        self.subject = {}
         centre = np.arcsinh(optimum / self._size)
         covariance = self._covariance_at(centre)
         zero_is_near = centre < 2 * np.sqrt(np.diagonal(covariance))
@@ -97,7 +94,6 @@ class _OfSpreads(Run):
         self.proposal = _normal_proposal(
             np.where(zero_is_near, 0.0, centre), axes, _WIDER * np.sqrt(squares)
         )
-        super().__init__(seed, _WALKERS)
 
     def _covariance_at(self, centre: Floats) -> Floats:
         """Of the normal density with the curvature of the log-density, no wider than
@@ -118,7 +114,7 @@ class _OfSpreads(Run):
         spreads: Floats = np.abs(self._size * np.sinh(free_values))
         return spreads
 
-    def log_prob(self, free_values: Floats) -> Floats:
+    def log(self, free_values: Floats) -> Floats:
         """Log-density of walkers, shape (walkers,): the restricted likelihood, since
         the prior of spreads is flat."""
         within = np.clip(free_values, self.lower, self.upper)
@@ -162,7 +158,8 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     proper = covariates + _PROPER <= throws <= _MOST_THROWS
     if seed is None or fit.at_bound or not proper:
         return None
-    run = _OfSpreads(model, np.sqrt(fit.variances), size, seed)
+    density = _SpreadDensity(model, np.sqrt(fit.variances), size)
+    run = Run(density, density.proposal, {}, seed, _WALKERS)
     _, diagnosis = run.until(_EFFECTIVE, _MOST_STEPS)
     chain = run.chain().flat
     spreads = chain[np.linspace(0, len(chain) - 1, _KEPT).astype(int)]
