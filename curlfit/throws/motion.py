@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
-from curlfit.throws.channels import median
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.channels import median, scatter
+from curlfit.throws.throw import Throw
 
 _JUMP = 0.15  # m/s; largest abrupt change of a velocity, apart from friction
 SURE = 6.0

@@ -23,7 +23,7 @@ from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
-from curlfit.throws.channels import median, running_median
+from curlfit.throws.channels import median, running_median, scatter
 from curlfit.throws.motion import (
     FEWEST,
     SURE,
@@ -50,7 +50,7 @@ from curlfit.throws.remedies import (
     some_units,
     unit_remedy,
 )
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.throw import Throw
 
 FRICTION = (0.002, 0.1)
 """Limits of the mean coefficient of friction; published values are 0.006 to 0.02

@@ -12,7 +12,8 @@ from curlfit.findings import Remedy
 from curlfit.sheet import LENGTH
 from curlfit.throws.motion import motion_of
 from curlfit.throws.readers.columns import in_unit
-from curlfit.throws.throw import Conventions, Throw
+from curlfit.throws.reference import Conventions
+from curlfit.throws.throw import Throw
 
 USUAL_FRICTION = (0.003, 0.04)
 """Mean coefficient of friction: the published values with a factor of two on

@@ -15,9 +15,9 @@ from curlfit.output.console import Printed
 from curlfit.output.table import Column, Table
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
+from curlfit.throws.channels import CHANNELS, UNITS, scatter
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.odd_row import odd_rows_in_words
-from curlfit.throws.throw import CHANNELS, UNITS, scatter
 from curlfit.wording import compact
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ from curlfit.foreign import counted, quoted
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
-from curlfit.throws.throw import Reference, Throw
+from curlfit.throws.reference import Reference
+from curlfit.throws.throw import Throw
 
 _SOURCE = "true value"
 SIMULATED = f'# reference.source = "{_SOURCE}"'

@@ -17,7 +17,7 @@ from curlfit.inference.noise.linearized import Linearized, regression_of
 from curlfit.noises import NOISES, Filter, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
