@@ -72,11 +72,11 @@ def law_with(
             if lowest <= value < coefficient.lower:
                 fault += "; `unbounded` lets it be negative"
             raise InputError(fault)
-    made = kind(**{**(others or {}), **coefficients})
-    fault_of_law = made.fault()
+    law_of_values = kind(**{**(others or {}), **coefficients})
+    fault_of_law = law_of_values.fault()
     if fault_of_law is not None:
         raise InputError(f"law {kind.name}: {fault_of_law}")
-    return made
+    return law_of_values
 
 
 def synthetic_throw(

@@ -165,11 +165,14 @@ class Throw(Displayed):
             raise self._error(f"{name} has shape {np.shape(values)}, t has {(n,)}")
 
     def _require(self, sound: Booleans, column: str, expected: str) -> None:
+        """Raise `DataError` for the first value of a column that is not sound."""
         if not sound.all():
             row = int(np.argmin(sound))
-            name = column.removeprefix("sigma_")
-            value = (self.sigma[name] if name != column else getattr(self, name))[row]
-            raise self._error(f"{value:g} found; {expected}", row, column)
+            if column.startswith("sigma_"):
+                values = self.sigma[column.removeprefix("sigma_")]
+            else:
+                values = getattr(self, column)
+            raise self._error(f"{values[row]:g} found; {expected}", row, column)
 
     def _error(
         self, message: str, row: int | None = None, column: str | None = None
