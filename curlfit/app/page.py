@@ -35,7 +35,7 @@ from curlfit.html_report.page import rendered, source
 from curlfit.output.document import command_line
 from curlfit.settings.choices import Fitting
 from curlfit.settings.forms import SWITCH
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 MOST_BYTES = 100_000_000
 """Largest upload, of twice as much as is read of a file."""

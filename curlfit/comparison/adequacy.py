@@ -27,7 +27,7 @@ from curlfit.inference.solve.initial_values import POINTS, accelerations_along
 from curlfit.losses import LOSSES, Loss
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
-from curlfit.throws.throw import scatter
+from curlfit.throws.channels import scatter
 
 _MOST = 500  # coefficient vectors for which a law is evaluated
 _FOLLOWS = 0.1

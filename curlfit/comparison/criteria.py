@@ -58,7 +58,7 @@ from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.sampling.draws import WeightedProposals
 from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 NULL = 1e-13
 """Share of the largest singular value below which one is rounding error."""

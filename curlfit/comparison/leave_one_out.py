@@ -39,7 +39,7 @@ from curlfit.inference.model.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _STEP = 0.1
 """Step of differences, in standard errors of a parameter with all others known."""

@@ -22,7 +22,7 @@ from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
-from curlfit.throws.throw import UNITS
+from curlfit.throws.channels import UNITS
 from curlfit.wording import compact, join_words
 
 _POSITIONS = 33  # along a direction

@@ -28,7 +28,7 @@ from curlfit.html_report.slider_curves import (
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
-from curlfit.throws.throw import UNITS
+from curlfit.throws.channels import UNITS
 from curlfit.wording import join_words
 
 _ID = "sliders"

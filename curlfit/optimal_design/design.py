@@ -57,8 +57,8 @@ from curlfit.optimal_design.selection import (
     select_design,
 )
 from curlfit.stone import Stone
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.synthetic import law_with
-from curlfit.throws.throw import CHANNELS
 
 SPEEDS = (1.6, 1.9, 2.2)
 SPINS = (0.5, 1.0, 2.0, 5.0, 10.0)

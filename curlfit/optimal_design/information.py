@@ -47,7 +47,7 @@ from curlfit.inference.solve.least_squares import Indices
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import FEW, in_batches, stacked
 from curlfit.stone import Stone
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record

@@ -39,8 +39,9 @@ from curlfit.optimal_design.information import (
 )
 from curlfit.settings.choices import Fitting
 from curlfit.stone import Stone
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.plausibility import require_plausible
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.throw import Throw
 
 _POINTS = 128  # rows of a throw without noise, weighted as all rows of its record
 

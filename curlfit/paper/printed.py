@@ -16,8 +16,9 @@ from curlfit.friction.front_back import FrontBackFirstOrder
 from curlfit.numerics.arrays import Floats
 from curlfit.output.files import atomic_write
 from curlfit.stone import GRAVITY, Stone
+from curlfit.throws.reference import Reference
 from curlfit.throws.synthetic import write_table
-from curlfit.throws.throw import Reference, Throw
+from curlfit.throws.throw import Throw
 
 EQ_28 = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "mu1_eta + mu2_eta": 0.018}
 """Coefficients of the front-back law as printed in eq. 28."""

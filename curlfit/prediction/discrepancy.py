@@ -48,8 +48,8 @@ from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.events import along_path
-from curlfit.throws.throw import CHANNELS
 
 _SMALL = 1e-3  # step of differences, relative to the friction
 

@@ -52,7 +52,8 @@ from curlfit.prediction.result import (
     Start,
 )
 from curlfit.prediction.simulation import Simulation
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.channels import CHANNELS
+from curlfit.throws.throw import Throw
 
 _FEWEST_DRAWS = 100  # that can be asked for
 _ROUNDS = 200  # of draws, until enough are within the bounds

@@ -23,8 +23,8 @@ from curlfit.prediction.result import (
     Weight,
 )
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
+from curlfit.throws.channels import UNITS
 from curlfit.throws.odd_row import odd_rows_in_words
-from curlfit.throws.throw import UNITS
 from curlfit.wording import capital, decimals, format_estimate, lower
 
 _LINES = {

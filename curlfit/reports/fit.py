@@ -42,7 +42,7 @@ from curlfit.reports.estimates import (
 )
 from curlfit.sheet import FOOT
 from curlfit.stone import UNITS as UNIT, Stone
-from curlfit.throws.throw import UNITS
+from curlfit.throws.channels import UNITS
 from curlfit.wording import (
     capital,
     compact,

@@ -33,8 +33,8 @@ from curlfit.reports.estimates import (
     systematics,
 )
 from curlfit.reports.fit import file_of, settings_of, with_derived
+from curlfit.throws.channels import UNITS
 from curlfit.throws.odd_row import odd_rows_in_words
-from curlfit.throws.throw import UNITS
 from curlfit.wording import (
     capital,
     compact,

@@ -42,6 +42,12 @@ def median(values: Floats) -> Any:
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
+def slope(t: Floats, values: Floats) -> float:
+    """The slope of the regression line of values over time."""
+    centred = t - t.mean()
+    return float(values @ centred / (centred @ centred))
+
+
 def running_median(values: Floats, width: int) -> Floats:
     """Medians of an odd number of values about each one, or as many as there are; at
     the ends those of the first and the last."""
@@ -89,22 +95,21 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
     rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
     moving = -(-rest // block)
     still = -(-(n - rest) // rest_block)
-    pieces = (0, rest, moving), (rest, n, still)
-    starts = np.concatenate(
-        [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
-    )
-    means_and_counts = {
-        name: block_means(getattr(throw, name), starts) for name in ("t", *CHANNELS)
-    }
+    starts_in_motion = np.linspace(0, rest, moving, endpoint=False).astype(int)
+    starts_at_rest = np.linspace(rest, n, still, endpoint=False).astype(int)
+    starts = np.concatenate([starts_in_motion, starts_at_rest])
+    means = {}
+    counts = {}
+    for name in ("t", *CHANNELS):
+        means[name], counts[name] = block_means(getattr(throw, name), starts)
 
-    def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
-        return {
-            name: np.sqrt(
-                block_means(values**2, starts)[0]
-                / np.maximum(means_and_counts[name][1], 1)
-            )
-            for name, values in sigma.items()
-        }
+    def of_means(sigma_of_rows: dict[str, Floats]) -> dict[str, Floats]:
+        """The standard deviations of the means, by channel."""
+        sigma = {}
+        for name, values in sigma_of_rows.items():
+            mean_square, _ = block_means(values**2, starts)
+            sigma[name] = np.sqrt(mean_square / np.maximum(counts[name], 1))
+        return sigma
 
     length = block * float(median(np.diff(throw.t)))
     note = Finding.note(
@@ -121,7 +126,7 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
         bend=0.2 * length**2 / 24,
     )
     return {
-        **{name: means for name, (means, _) in means_and_counts.items()},
+        **means,
         "sigma": of_means(throw.sigma),
         "relative_sigma": of_means(throw.relative_sigma),
         "lines": None if throw.lines is None else throw.lines[starts],

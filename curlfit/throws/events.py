@@ -36,10 +36,25 @@ timekeepers show (Manual timing in physics experiments: error and uncertainty, A
 Phys. 87 (2019) 110)."""
 MOST_LINES = 6
 MOST_EVENTS = 9
-# Columns of the weights of times, x and y, at lines and at rest: see `EventArrays`.
-_TIMES = [*range(MOST_LINES), 3 * MOST_LINES]
-_X = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
-_Y = [3 * MOST_LINES + 2]
+# The columns of the weights in `EventArrays`: those of a quantity at the lines begin at
+# its place, and at rest there is one of each.
+_AT_LINES = {
+    "time": 0,
+    "x": MOST_LINES,
+    "phi": 2 * MOST_LINES,
+    "speed": 3 * MOST_LINES + 4,
+    "omega": 4 * MOST_LINES + 4,
+}
+_AT_REST = {
+    "time": 3 * MOST_LINES,
+    "x": 3 * MOST_LINES + 1,
+    "y": 3 * MOST_LINES + 2,
+    "phi": 3 * MOST_LINES + 3,
+}
+_COLUMNS = 5 * MOST_LINES + 4
+_TIMES = [*range(MOST_LINES), _AT_REST["time"]]
+_X = [*range(_AT_LINES["x"], _AT_LINES["x"] + MOST_LINES), _AT_REST["x"]]
+_Y = [_AT_REST["y"]]
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
 _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
@@ -160,20 +175,16 @@ def event_arrays(events: Sequence[Event]) -> EventArrays:
             f"{counted(len(events), 'event')} at {counted(len(lines), 'line')}; "
             f"expected at most {MOST_EVENTS} at {MOST_LINES}"
         )
-    weights = np.zeros((MOST_EVENTS, 5 * MOST_LINES + 4))
-    of_line = {"time": 0, "x": MOST_LINES, "phi": 2 * MOST_LINES}
-    at_rest = {name: 3 * MOST_LINES + index for index, name in enumerate(QUANTITIES)}
-    of_line |= {
-        name: at_rest["phi"] + 1 + k * MOST_LINES for k, name in enumerate(RATES)
-    }
+    weights = np.zeros((MOST_EVENTS, _COLUMNS))
     for row, event in enumerate(events):
         if event.at is None:
-            column = at_rest[event.quantity]
+            column = _AT_REST[event.quantity]
         else:
-            column = of_line[event.quantity] + lines.index(event.at)
+            column = _AT_LINES[event.quantity] + lines.index(event.at)
         weights[row, column] += 1
         if event.since is not None:
-            weights[row, of_line[event.quantity] + lines.index(event.since)] -= 1
+            earlier = _AT_LINES[event.quantity] + lines.index(event.since)
+            weights[row, earlier] -= 1
     padded = np.full(MOST_LINES, lines[-1] if lines else 0.0)
     padded[: len(lines)] = lines
     return EventArrays(padded, weights)

@@ -10,7 +10,8 @@ from curlfit.output.panels import (
     plot_path,
     plot_rate,
 )
-from curlfit.throws.throw import UNITS, Throw
+from curlfit.throws.channels import UNITS
+from curlfit.throws.throw import Throw
 
 
 @draw.style()

@@ -25,6 +25,8 @@ _COLUMNS = {
 }
 _REQUIRED = ("speed", "mu")
 _EXPECTED = "expected columns speed and mu"
+_MOST_SPEED = 10.0
+"""m/s; no stone is as fast."""
 _MOST = 1.0
 """No coefficient of friction on ice is larger."""
 _LEAST_ROWS = 3
@@ -62,14 +64,10 @@ def _meaning(heading: str) -> Column | None:
     if column is not None and column.quantity in ("speed", "omega"):
         return column
     word = re.sub(r"[\s_\-./()\[\]]+", "", heading.lower())
-    return next(
-        (
-            Column(quantity, "1", 1.0)
-            for quantity, words in _COLUMNS.items()
-            if re.fullmatch(words, word)
-        ),
-        None,
-    )
+    for quantity, words in _COLUMNS.items():
+        if re.fullmatch(words, word):
+            return Column(quantity, "1", 1.0)
+    return None
 
 
 def _of_friction(named: Mapping[str, str] | None) -> dict[str, str]:
@@ -127,29 +125,30 @@ def load_friction_table(
     """
     path = Path(file)
     text = TextFile.read(path, worksheet)
-    table, values, places = read_quantities(
+    table, values, place_of = read_quantities(
         text, _meaning, _REQUIRED, _EXPECTED, _of_friction(columns), units
     )
-    notes = [*([] if text.note is None else [text.note]), *table.findings]
-    measured = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    if not measured.all():
-        gaps = int((~measured).sum())
+    notes = [] if text.note is None else [text.note]
+    notes += table.findings
+    complete = np.all([np.isfinite(column) for column in values.values()], axis=0)
+    if not complete.all():
+        gaps = int((~complete).sum())
         notes.append(Finding.note("rows-without-friction", count=gaps))
-    lines = np.array(table.rows)[measured] + 1
-    values = {name: column[measured] for name, column in values.items()}
-    limits = {"speed": (0.0, 10.0), "mu": (0.0, _MOST), "sigma": (0.0, _MOST)}
-    for name, (low, high) in limits.items():
+    lines = np.array(table.rows)[complete] + 1
+    values = {name: column[complete] for name, column in values.items()}
+    limits = {"speed": _MOST_SPEED, "mu": _MOST, "sigma": _MOST}
+    for name, most in limits.items():
         if name not in values:
             continue
-        wrong = ~((values[name] > low) & (values[name] <= high))
+        wrong = ~((values[name] > 0) & (values[name] <= most))
         if wrong.any():
             row = int(np.argmax(wrong))
             raise DataError(
-                f"{values[name][row]:g} found, expected a number above "
-                f"{low:g}, up to {high:g}",
+                f"{values[name][row]:g} found, expected a number above 0, up to "
+                f"{most:g}",
                 file=path,
                 line=int(lines[row]),
-                column=table.headings[places[name]],
+                column=table.headings[place_of[name]],
             )
     if len(values["mu"]) < _LEAST_ROWS:
         fault = f"{counted(len(values['mu']), 'row')}, expected at least {_LEAST_ROWS}"

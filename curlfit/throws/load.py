@@ -61,7 +61,10 @@ _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 _SWEPT = re.compile(r"[ \t]*#+[ \t]*swept[ \t]*=")
-_MOST_ASIDES, _HEAD = 200, 30  # lines that show the format, with and without comments
+# The format is told by so many first lines, of which so many are neither comments nor
+# blank.
+_MOST_ASIDES = 200
+_HEAD = 30
 
 
 @takes(Reading)
@@ -137,8 +140,11 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     (15, '1')
     """
     reading = Reading.of(**choices)
-    every = (part for file in files for part in parts_of(file, reading, jointly=True))
-    parts = [part for part in every if not part.left_out]
+    parts = []
+    for file in files:
+        for part in parts_of(file, reading, jointly=True):
+            if not part.left_out:
+                parts.append(part)
     throws = []
     for part in parts:
         if isinstance(part.throw, CurlfitError):
@@ -147,12 +153,9 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
         if part.stone_index is not None and reading.stone_index is None:
             throw = replace(throw, name=f"{throw.name} throw {part.stone_index}")
         throws.append(throw)
-    if (
-        parts
-        and (fault := parts[0].alone) is not None
-        and all(part.alone for part in parts)
-    ):
-        raise fault
+    faults = [part.alone for part in parts if part.alone is not None]
+    if faults and len(faults) == len(parts):
+        raise faults[0]
     return throws
 
 
@@ -320,19 +323,21 @@ def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[P
     files: set[Path] = set()
     left_out = {file.resolve() for file in besides}
     for text in wanted:
-        place = Path(text)
-        if place.is_dir():
-            named = {
-                file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES
-            }
+        path = Path(text)
+        if path.is_dir():
+            matching = [
+                file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES
+            ]
             fault = f"no file that ends in {', '.join(_SUFFIXES)} found"
         else:
-            named = set(map(Path, glob(text, recursive=True)))
+            matching = [Path(name) for name in glob(text, recursive=True)]
             fault = "no file found"
-        readable = {
-            file for file in named if file.is_file() and file.resolve() not in left_out
-        }
+        readable = [
+            file
+            for file in matching
+            if file.is_file() and file.resolve() not in left_out
+        ]
         if not readable:
             raise InputError(f"{text}: {fault}")
-        files |= readable
+        files.update(readable)
     return sorted(files)

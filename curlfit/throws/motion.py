@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
-from curlfit.throws.channels import median
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.channels import median, scatter, slope
+from curlfit.throws.throw import Throw
 
 _JUMP = 0.15  # m/s; largest abrupt change of a velocity, apart from friction
 SURE = 6.0
@@ -35,6 +35,8 @@ _BLOCKS = 24
 _REST = 0.03
 MIN_POSITIONS = 4
 """Positions needed to determine a speed."""
+MIN_RATES = 4
+"""Angles, spins or speeds needed to compare a rate with another."""
 _MIN_REST_ROWS = 4  # needed to detect rest
 _MIN_REST_TIME = 0.2  # s; likewise
 _CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
@@ -153,9 +155,16 @@ def _without_outliers(
     return t[near], positions[:, near]
 
 
-def _block_slopes(t: Floats, values: Floats, noise: Floats) -> tuple[Floats, ...]:
-    """First, last and mean time, slopes, and the standard error of their
-    magnitude, by block; `noise` of the values is the least that counts."""
+def _block_slopes(
+    t: Floats, values: Floats, noise: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """First, last and mean time of each block of rows, the slopes of the regression
+    lines through its values, and the standard error of the magnitude of these slopes.
+
+    Parameters
+    ----------
+    values : shape (2, n). noise : of both, the least that counts, shape (2,).
+    """
     blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
@@ -175,21 +184,23 @@ def _block_slopes(t: Floats, values: Floats, noise: Floats) -> tuple[Floats, ...
 
 def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
     """Mean deceleration over g while the stone moves, and its standard error."""
+    # Blocks at rest, or nearly so, say nothing of the deceleration.
     fastest = speed.max()
     moving = speed > np.maximum(_REST, 0.03 * fastest)
     if fastest < 2 * _REST:  # perhaps in other units
         moving = speed > 0.2 * fastest
     if moving.sum() < 3:
         return math.nan, math.inf
+    # The slope of the regression line of the speed over time.
     t = t[moving]
     speed = speed[moving]
     centred = t - t.mean()
     spread = float(centred @ centred)
-    slope = float(speed @ centred) / spread
-    residual = speed - speed.mean() - slope * centred
+    acceleration = float(speed @ centred) / spread
+    residual = speed - speed.mean() - acceleration * centred
     variance = (residual @ residual) / max(len(t) - 2, 1)
     noise = max(float(median(error[moving])), float(np.sqrt(variance)))
-    return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
+    return -acceleration / GRAVITY, noise / math.sqrt(spread) / GRAVITY
 
 
 def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
@@ -231,21 +242,21 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
 
 
 def turning(throw: Throw) -> tuple[float, float]:
-    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest;
-    NaN if there are too few angles and spins."""
-    for name in ("phi", "omega"):
-        values = getattr(throw, name)
-        seen = np.isfinite(values)
-        if seen.sum() < 4:
-            continue
-        t, values = throw.t[seen], values[seen]
-        if name == "phi":
-            few = max(1, min(len(t) // 10, 5))
-            turned = float(median(values[-few:]) - median(values[:few]))
-        else:
-            turned = float(np.trapezoid(values, t))
-        return turned, turned / float(t[-1] - t[0])
-    return math.nan, math.nan
+    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest,
+    from the angles or else from the spins; NaN if there are too few of both."""
+    has_angle = np.isfinite(throw.phi)
+    has_spin = np.isfinite(throw.omega)
+    if has_angle.sum() >= MIN_RATES:
+        t = throw.t[has_angle]
+        phi = throw.phi[has_angle]
+        few = max(1, min(len(t) // 10, 5))
+        turned = float(median(phi[-few:]) - median(phi[:few]))
+    elif has_spin.sum() >= MIN_RATES:
+        t = throw.t[has_spin]
+        turned = float(np.trapezoid(throw.omega[has_spin], t))
+    else:
+        return math.nan, math.nan
+    return turned, turned / float(t[-1] - t[0])
 
 
 def release(throw: Throw) -> float | None:
@@ -256,25 +267,36 @@ def release(throw: Throw) -> float | None:
     function of time after that. Of the releases that least squares allow, within two
     standard errors, the last one is taken: what is left out too much is hardly missed.
     """
-    seen = np.isfinite(throw.phi)
-    if seen.sum() < 4 * FEWEST:
+    measured = np.isfinite(throw.phi)
+    if measured.sum() < 4 * FEWEST:
         return None
-    t, phi = throw.t[seen], throw.phi[seen]
-    turned = np.abs(phi - median(phi[:5])) > _TURNED
-    n = int(np.argmax(turned)) + 1
-    held = max(int(np.searchsorted(t, t[0] + _HELD)), FEWEST)
-    t, phi = t[:n], phi[:n]
-    if not turned.any() or held > n - 2 * FEWEST:
+    t = throw.t[measured]
+    phi = throw.phi[measured]
+    turns_freely = np.abs(phi - median(phi[:5])) > _TURNED
+    if not turns_freely.any():
         return None
-    spin = _slope(t[-held:], phi[-held:])
-    if abs(_slope(t[:held], phi[:held])) > _STILL * abs(spin):
+    n = int(np.argmax(turns_freely)) + 1
+    fewest_held = max(int(np.searchsorted(t, t[0] + _HELD)), FEWEST)
+    if fewest_held > n - 2 * FEWEST:
         return None
+    t = t[:n]
+    phi = phi[:n]
+    free_spin = slope(t[-fewest_held:], phi[-fewest_held:])
+
+    def turns_in_the_hand(rows: int) -> bool:
+        return abs(slope(t[:rows], phi[:rows])) > _STILL * abs(free_spin)
+
+    if turns_in_the_hand(fewest_held):
+        return None
+    # First the row of a sudden onset. A spin from the first row on must fit at least
+    # twice as badly.
     squares = np.array([_misfit(t, phi, start, 0.0) for start in t[:-FEWEST]])
     best = int(squares.argmin())
-    if best < held or squares[0] < 2 * squares[best]:
+    if best < fewest_held or squares[0] < 2 * squares[best]:
         return None
-    if abs(_slope(t[:best], phi[:best])) > _STILL * abs(spin):
+    if turns_in_the_hand(best):
         return None
+    # Then the ends of all onsets about it.
     ends = []
     misfits = []
     for onset in np.linspace(0, _ONSET, 9):
@@ -290,7 +312,12 @@ def release(throw: Throw) -> float | None:
 
 
 def _misfit(t: Floats, phi: Floats, start: float, onset: float) -> float:
-    """Residual sum of squares of an angle whose spin sets in from a start on."""
+    """Residual sum of squares of an angle whose spin sets in from a start on.
+
+    Least squares of a constant, of the angle turned at a spin that grows linearly to 1
+    within the onset, and of the square of the time since the onset, by which the spin
+    decreases.
+    """
     after = np.maximum(t - start, 0.0)
     in_onset = after**2 / (2 * onset or 1.0)
     turned = np.where(after < onset, in_onset, after - onset / 2)
@@ -298,12 +325,6 @@ def _misfit(t: Floats, phi: Floats, start: float, onset: float) -> float:
     basis = np.stack([np.ones_like(t), turned, braked], 1)
     residual = phi - basis @ np.linalg.lstsq(basis, phi, rcond=None)[0]
     return float(residual @ residual)
-
-
-def _slope(t: Floats, values: Floats) -> float:
-    """Of the regression line."""
-    centred = t - t.mean()
-    return float(values @ centred / (centred @ centred))
 
 
 def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:
@@ -330,15 +351,17 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     series = np.vstack([t, positions])
     windows = np.lib.stride_tricks.sliding_window_view(series, rows, axis=1)
     mean = windows.mean(-1)
-    time, *places = windows - mean[..., None]
+    centred = windows - mean[..., None]
+    time = centred[0]
+    offsets = centred[1:]  # of x and y
     spread = (time**2).sum(1)
-    slope = np.stack([(place * time).sum(1) / spread for place in places])
-    change = slope[:, rows:] - slope[:, :-rows]
+    velocity = (offsets * time).sum(2) / spread
+    change = velocity[:, rows:] - velocity[:, :-rows]
     elapsed = mean[0, rows:] - mean[0, :-rows]
     error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
     excess = np.hypot(*change) - SURE * error - _BRAKING * elapsed
     # An outlier tilts a line, which then does not fit its own rows.
-    residual = np.abs(np.stack(places) - slope[..., None] * time).max((0, 2))
+    residual = np.abs(offsets - velocity[..., None] * time).max((0, 2))
     duration = time[:, -1] - time[:, 0]
     straight = residual < _STRAIGHT + 6 * noise + 0.5 * _BRAKING * duration**2 / 4
     excess[~(straight[rows:] & straight[:-rows])] = -math.inf
@@ -444,13 +467,13 @@ def first_row_at_rest(t: Floats, positions: Floats) -> int | None:
     sum_tp = to_the_end(late * to_last)[:, enough]
     sum_pp = to_the_end(to_last**2)[:, enough]
     spread = sum_tt - sum_t**2 / n
-    slope = (sum_tp - sum_t * sum_p / n) / spread
-    squares = np.maximum(sum_pp - sum_p**2 / n - slope**2 * spread, 0.0)
+    velocity = (sum_tp - sum_t * sum_p / n) / spread
+    squares = np.maximum(sum_pp - sum_p**2 / n - velocity**2 * spread, 0.0)
     variance = squares / (n - 2)
     variance = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
     error = np.sqrt(variance / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
-    compatible = (np.abs(slope) < _CONFIDENCE * error).all(0)
-    highest_speed = np.hypot(*(np.abs(slope) + _CONFIDENCE * error))
+    compatible = (np.abs(velocity) < _CONFIDENCE * error).all(0)
+    highest_speed = np.hypot(*(np.abs(velocity) + _CONFIDENCE * error))
     limit = np.where(compatible, highest_speed, np.inf)
     best = int(np.argmin(limit))
     return int(np.flatnonzero(enough)[best]) if limit[best] < _REST else None

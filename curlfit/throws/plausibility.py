@@ -23,9 +23,10 @@ from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
-from curlfit.throws.channels import median, running_median
+from curlfit.throws.channels import median, running_median, scatter
 from curlfit.throws.motion import (
     FEWEST,
+    MIN_RATES,
     SURE,
     MeasuredMotion,
     motion_of,
@@ -50,7 +51,7 @@ from curlfit.throws.remedies import (
     some_units,
     unit_remedy,
 )
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.throw import Throw
 
 FRICTION = (0.002, 0.1)
 """Limits of the mean coefficient of friction; published values are 0.006 to 0.02
@@ -260,17 +261,21 @@ def _gap(throw: Throw) -> Iterator[Finding]:
     usual = float(median(steps))
     if steps[last] < _LONGEST_GAP or steps[last] < _MANY_STEPS * usual:
         return
-    early = last + 1 < len(throw) / 2
-    row = last if early else last + 1
-    alone = row in (0, len(throw) - 1)
-    if early:
+    if last + 1 < len(throw) / 2:
+        row = last
+        code = "rows-before-a-gap"
         cut = option(throw, "since", f"{throw.t[last + 1]:.10g}")
     else:
+        row = last + 1
+        code = "rows-after-a-gap"
         cut = option(throw, "until", f"{throw.t[last]:.10g}")
-    rows = "rows-before-a-gap" if early else "rows-after-a-gap"
+    remedy = Remedy("correct-times", cut)
+    if row in (0, len(throw) - 1):  # alone
+        code = "row-beyond-a-gap"
+        remedy = Remedy("correct-time", cut)
     yield Finding.refusal(
-        "row-beyond-a-gap" if alone else rows,
-        Remedy("correct-time" if alone else "correct-times", cut),
+        code,
+        remedy,
         t=float(throw.t[row]),
         line=_line(throw, row),
         gap=float(steps[last]),
@@ -421,23 +426,21 @@ def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """The hand that holds a stone before the release, or the touch of a hand or
     another stone."""
     touch = _touch(throw, motion)
-    early = None  # the touch whose rows are at the beginning
-    late = touch
-    if touch is not None and touch.cut == "since":
-        early = touch
-        late = None
     released = release(throw)
-    if released is not None and (early is None or _clear(throw, released) == released):
-        early = early or _Touch("held", {"t": released})
-        early = early._replace(
-            remedy="rows-before-release", cut="since", time=float(released)
-        )
-    elif early is not None:
-        early = early._replace(time=_clear(throw, early.time))
-    if early is not None:
-        yield early.finding(throw)
-    if late is not None:
-        yield late.finding(throw)
+    if touch is not None and touch.cut == "since":
+        if released is not None and _clear(throw, released) == released:
+            # The angle tells better than the speed where the hand lets go.
+            touch = touch._replace(remedy="rows-before-release", time=released)
+        else:
+            touch = touch._replace(time=_clear(throw, touch.time))
+        yield touch.finding(throw)
+        return
+    if released is not None:
+        numbers = {"t": released}
+        held = _Touch("held", numbers, "rows-before-release", "since", released)
+        yield held.finding(throw)
+    if touch is not None:
+        yield touch.finding(throw)
 
 
 def _clear(throw: Throw, time: float) -> float:
@@ -510,7 +513,8 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     along_x = abs(x) > 2 * abs(y)
     forward = 1 if (x if along_x else y) > 0 else -1
 
-    def axes(across: int, along: int) -> Option:
+    def corrected_axes(across: int, along: int) -> Option:
+        """The option with axes that point the other way where a sign is -1."""
         changed = corrected(words, across, along, 1, exchanged=along_x)
         return option(throw, "axes", changed)
 
@@ -519,11 +523,11 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     if abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
         to_the_left = motion.curl > 0
         if along_x:
-            other_axes = Remedy("if-x-is-along", axes(forward, forward))
+            other_axes = Remedy("if-x-is-along", corrected_axes(forward, forward))
         elif forward > 0:
-            other_axes = Remedy("if-x-is-to-the-left", axes(-1, 1))
+            other_axes = Remedy("if-x-is-to-the-left", corrected_axes(-1, 1))
         else:
-            other_axes = Remedy("if-y-points-back", axes(1, -1))
+            other_axes = Remedy("if-y-points-back", corrected_axes(1, -1))
         other_sense = option(throw, "axes", corrected(words, 1, 1, -1))
         yield Finding.warning(
             "curls-the-wrong-way",
@@ -534,7 +538,7 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             curl=abs(float(motion.curl)),
         )
     elif along_x:
-        rotated = axes(-forward, forward)
+        rotated = corrected_axes(-forward, forward)
         code = "across-by-axes" if words else "across"
         yield Finding.warning(code, Remedy("if-it-is-along", rotated), axes=words)
 
@@ -554,7 +558,7 @@ def _ratio_of_speeds(throw: Throw, motion: MeasuredMotion) -> float | None:
     measured = np.isfinite(throw.speed)
     surely_moving = 10 * float(median(motion.error))
     fast = motion.speed > max(0.3 * motion.fastest, surely_moving)
-    if measured.sum() < 4 or fast.sum() < 3:
+    if measured.sum() < MIN_RATES or fast.sum() < 3:
         return None
     speed = np.interp(motion.t, throw.t[measured], throw.speed[measured])
     return float(median(speed[fast] / motion.speed[fast]))
@@ -565,7 +569,7 @@ def _ratio_of_turns(throw: Throw) -> float | None:
     few rows tell it, or the stone hardly turns."""
     has_angle = np.isfinite(throw.phi)
     has_spin = np.isfinite(throw.omega)
-    if has_angle.sum() < FEWEST or has_spin.sum() < 4:
+    if has_angle.sum() < FEWEST or has_spin.sum() < MIN_RATES:
         return None
     turned, _ = turning(throw)
     if abs(turned) <= 1.0:

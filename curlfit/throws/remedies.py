@@ -12,7 +12,8 @@ from curlfit.findings import Remedy
 from curlfit.sheet import LENGTH
 from curlfit.throws.motion import motion_of
 from curlfit.throws.readers.columns import in_unit
-from curlfit.throws.throw import Conventions, Throw
+from curlfit.throws.reference import Conventions
+from curlfit.throws.throw import Throw
 
 USUAL_FRICTION = (0.003, 0.04)
 """Mean coefficient of friction: the published values with a factor of two on
@@ -128,10 +129,10 @@ def unit_remedy(throw: Throw) -> Remedy:
             channel: factor * getattr(throw, channel)
             for channel, factor in change.factors.items()
         }
-        there = replace(throw, sigma={}, **scaled)
-        odd = _oddity(there, change.of_one_axis) + change.rarity
-        if odd < least_odd:
-            least_odd = odd
+        in_other_units = replace(throw, sigma={}, **scaled)
+        oddity = _oddity(in_other_units, change.of_one_axis) + change.rarity
+        if oddity < least_odd:
+            least_odd = oddity
             best = change
     if best is None:
         return Remedy("set-units", *some_units(throw))
@@ -150,7 +151,7 @@ def unit_remedy(throw: Throw) -> Remedy:
     return Remedy("units", typed, {"columns": columns})
 
 
-def _oddity(throw: Throw, alone: bool) -> float:
+def _oddity(throw: Throw, one_axis_alone: bool) -> float:
     """How far a throw is from a draw of 2 m/s, friction 0.01 and, where one axis alone
     is scaled, a curl of 1 m; infinite if it is not usual."""
     motion = motion_of(throw)
@@ -162,5 +163,7 @@ def _oddity(throw: Throw, alone: bool) -> float:
         or not USUAL_FRICTION[0] < motion.friction < USUAL_FRICTION[1]
     ):
         return math.inf
-    odd = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
-    return odd + abs(math.log(max(abs(motion.curl), 1e-3))) * alone
+    oddity = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
+    if one_axis_alone:
+        oddity += abs(math.log(max(abs(motion.curl), 1e-3)))
+    return oddity

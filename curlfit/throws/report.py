@@ -15,9 +15,9 @@ from curlfit.output.console import Printed
 from curlfit.output.table import Column, Table
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
+from curlfit.throws.channels import CHANNELS, UNITS, scatter
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.odd_row import odd_rows_in_words
-from curlfit.throws.throw import CHANNELS, UNITS, scatter
 from curlfit.wording import compact
 
 if TYPE_CHECKING:
@@ -213,13 +213,8 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
     if throw.has_path:
         if len(throw) > 1:
             yield from _clock(throw.t)
-        for name, row in (("first row", 0), ("last row", -1)):
-            values = []
-            for channel in throw.seen:
-                value = getattr(throw, channel)[row] + 0.0  # no -0
-                if np.isfinite(value):
-                    values.append(f"{channel} {value:.6g} {UNITS[channel]}")
-            yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
+        yield "first row  " + _row(throw, 0)
+        yield "last row   " + _row(throw, -1)
         scatters = []
         for channel in throw.seen:
             measured = getattr(throw, channel)
@@ -238,6 +233,16 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
     if of_fits:
         listed = (f"{key} = {value}" for key, value in of_fits.items() if value)
         yield "settings   " + ", ".join(listed)
+
+
+def _row(throw: Throw, row: int) -> str:
+    """The time and the measured values of a row."""
+    cells = [f"t {throw.t[row]:.6g} s"]
+    for channel in throw.seen:
+        value = getattr(throw, channel)[row] + 0.0  # no -0
+        if np.isfinite(value):
+            cells.append(f"{channel} {value:.6g} {UNITS[channel]}")
+    return ", ".join(cells)
 
 
 def _clock(t: Floats) -> Iterator[str]:

@@ -16,7 +16,8 @@ from curlfit.foreign import counted, quoted
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
-from curlfit.throws.throw import Reference, Throw
+from curlfit.throws.reference import Reference
+from curlfit.throws.throw import Throw
 
 _SOURCE = "true value"
 SIMULATED = f'# reference.source = "{_SOURCE}"'
@@ -71,11 +72,11 @@ def law_with(
             if lowest <= value < coefficient.lower:
                 fault += "; `unbounded` lets it be negative"
             raise InputError(fault)
-    made = kind(**{**(others or {}), **coefficients})
-    fault_of_law = made.fault()
+    law_of_values = kind(**{**(others or {}), **coefficients})
+    fault_of_law = law_of_values.fault()
     if fault_of_law is not None:
         raise InputError(f"law {kind.name}: {fault_of_law}")
-    return made
+    return law_of_values
 
 
 def synthetic_throw(

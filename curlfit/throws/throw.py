@@ -20,26 +20,11 @@ from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
 from curlfit.output.table import Column, Table
 from curlfit.settings.choices import Reading, takes
-from curlfit.throws.channels import CHANNELS, UNITS, condensed, last_motion, scatter
+from curlfit.throws.channels import CHANNELS, UNITS, condensed
 from curlfit.throws.events import Event, lines_of, sketch
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.sequences import Fault, numbers, one_or_many, times
-from curlfit.throws.reference import Conventions, Reference, StoneValues
-
-__all__ = [
-    "CHANNELS",
-    "MOST_ROWS",
-    "UNITS",
-    "Conventions",
-    "Reference",
-    "StoneValues",
-    "Throw",
-    "check_sigma",
-    "last_motion",
-    "require_path",
-    "require_throw",
-    "scatter",
-]
+from curlfit.throws.reference import Conventions, Reference
 
 MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
@@ -180,11 +165,14 @@ class Throw(Displayed):
             raise self._error(f"{name} has shape {np.shape(values)}, t has {(n,)}")
 
     def _require(self, sound: Booleans, column: str, expected: str) -> None:
+        """Raise `DataError` for the first value of a column that is not sound."""
         if not sound.all():
             row = int(np.argmin(sound))
-            name = column.removeprefix("sigma_")
-            value = (self.sigma[name] if name != column else getattr(self, name))[row]
-            raise self._error(f"{value:g} found; {expected}", row, column)
+            if column.startswith("sigma_"):
+                values = self.sigma[column.removeprefix("sigma_")]
+            else:
+                values = getattr(self, column)
+            raise self._error(f"{values[row]:g} found; {expected}", row, column)
 
     def _error(
         self, message: str, row: int | None = None, column: str | None = None

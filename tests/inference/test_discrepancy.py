@@ -16,7 +16,7 @@ from curlfit.inference.fit.problems import linearized_fit, problem_of
 from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.whitening import whitened
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 STONE = Stone()
 SERIES = ("x", "y", "phi")

@@ -22,7 +22,7 @@ from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.model.likelihood import chi_squared_of_many
 from curlfit.inference.solve.least_squares import MOST_STEPS, Tasks, minimize_many
 from curlfit.numerics.batches import stacked, unstacked
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 LOGS = Path(__file__).parent / "spin_to_rest"
 AXES = {1: "x-along", 2: None}

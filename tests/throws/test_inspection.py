@@ -10,9 +10,9 @@ import pytest
 from conftest import command
 
 from curlfit import Throw
+from curlfit.throws.channels import scatter
 from curlfit.throws.motion import final_speed, first_row_at_rest, path_of
 from curlfit.throws.report import facts
-from curlfit.throws.throw import scatter
 
 SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
 

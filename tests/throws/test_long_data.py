@@ -9,7 +9,7 @@ import pytest
 
 import curlfit
 from curlfit import LAWS, Stone
-from curlfit.throws.throw import last_motion
+from curlfit.throws.channels import last_motion
 
 
 @pytest.fixture(scope="module")

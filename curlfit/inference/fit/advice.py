@@ -37,8 +37,8 @@ from curlfit.inference.solve.least_squares import Indices
 from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.motion import SURE, motion_of
-from curlfit.throws.throw import CHANNELS
 
 _CLEAR = 0.2
 """m; a smaller curl of a path may be that of the ice."""

@@ -18,7 +18,8 @@ from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.independence import time_of_motion
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.channels import CHANNELS
+from curlfit.throws.throw import Throw
 
 _EARLY = 5
 """Rows in which a hand may still be on the stone."""

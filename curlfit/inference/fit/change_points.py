@@ -33,7 +33,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model.likelihood import predict_channels
 from curlfit.inference.noise.independence import time_of_motion
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _SURE = 30.0
 """Twice the gain in log-likelihood of a change, at least. Of 2,600 throws that did not

@@ -11,7 +11,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 
 @dataclass(frozen=True)

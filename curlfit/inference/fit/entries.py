@@ -14,8 +14,9 @@ from curlfit.losses import LOSSES
 from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.records import ADDED, Entry, Kinds, OneOf, written_as
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.events import QUANTITIES, Event
-from curlfit.throws.throw import CHANNELS, StoneValues
+from curlfit.throws.reference import StoneValues
 
 ChannelName = Annotated[str, OneOf(CHANNELS)]
 LossName = Annotated[str, OneOf(LOSSES)]

@@ -26,7 +26,8 @@ from curlfit.losses import LOSSES
 from curlfit.noises import Noise
 from curlfit.numerics.batches import BATCH, side_by_side
 from curlfit.settings.choices import Fitting, takes
-from curlfit.throws.throw import Reference, Throw, require_throw
+from curlfit.throws.reference import Reference
+from curlfit.throws.throw import Throw, require_throw
 
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
 

@@ -17,7 +17,7 @@ from curlfit.inference.model.problem import Problem
 from curlfit.inference.model.system import System, motions
 from curlfit.inference.solve.least_squares import Solution
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _ROWS = np.array([-8, -4, -2, -1, 1, 2, 4, 8])  # by which the rest is moved
 # Jump of the spin over its sigma. Between two rows chi squared rises by at most the

@@ -24,7 +24,7 @@ from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 
 def problem_of(fit: FitResult) -> Problem:

@@ -13,8 +13,8 @@ from curlfit.inference.model.problem import Problem
 from curlfit.inference.solve.least_squares import Solution
 from curlfit.losses import MAD_TO_SIGMA, Loss, robust_sigma
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.throws.channels import running_median
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.channels import CHANNELS, running_median
+from curlfit.throws.throw import Throw
 
 _FEWEST = 10
 """Values of a channel in which outliers are sought."""

@@ -52,7 +52,9 @@ from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.records import ADDED, SERIES, Names, require, require_rows
 from curlfit.stone import Stone
-from curlfit.throws.throw import CHANNELS, Reference, Throw, counts_from_hack
+from curlfit.throws.channels import CHANNELS
+from curlfit.throws.reference import Reference
+from curlfit.throws.throw import Throw, counts_from_hack
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -40,7 +40,7 @@ from curlfit.inference.solve.least_squares import Indices, Solution
 from curlfit.losses import place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import at
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _ROBUST_FITS = 4
 """Each with sigma from the bulk of the last."""

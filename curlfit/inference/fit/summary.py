@@ -38,8 +38,8 @@ from curlfit.inference.noise.independence import Independence
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.solve.least_squares import MOST_STEPS
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.plausibility import examine_fit
-from curlfit.throws.throw import CHANNELS
 
 _FEWEST = 3
 """Values of a channel, above which their correlation is given."""

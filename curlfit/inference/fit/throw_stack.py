@@ -25,7 +25,8 @@ from curlfit.inference.solve.initial_values import (
 from curlfit.inference.solve.least_squares import Indices, Solution, as_slice
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import at, stacked, unstacked
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.channels import CHANNELS
+from curlfit.throws.throw import Throw
 
 _ROUGHLY = 4.0
 """Factor on the usual coefficients, or one over it, within which a rough path tells

@@ -18,8 +18,9 @@ from curlfit.environment import Environment
 from curlfit.inference.model.spin_at_rest import MeasuredSpins
 from curlfit.losses import LINEAR, Loss, place_of
 from curlfit.stone import Stone
+from curlfit.throws.channels import CHANNELS
 from curlfit.throws.events import EventArrays, event_arrays
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.throw import Throw
 
 ROWS_OF_DATA = (*CHANNELS, "event")
 """Quantities in the rows of a problem's arrays."""

@@ -37,7 +37,7 @@ from curlfit.numerics.namespace import namespace
 from curlfit.numerics.principal_axes import principal_axes
 from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import GRAVITY, Stone
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 COMPONENTS = ("across", "along", "turning")
 SHAPES = 12  # basis functions of speed

@@ -23,7 +23,7 @@ from curlfit.inference.noise.accelerations import amplitude_root
 from curlfit.noises import Filter, Noise
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _FEWEST = 20  # values of a channel, at least, for its noise to be estimated
 _ROUNDING = 1e-13  # of the sum of the eigenvalues of a matrix of products

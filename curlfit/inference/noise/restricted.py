@@ -30,7 +30,7 @@ from curlfit.noises import NOISES, Noise, Unknown
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.channels import CHANNELS
 
 _FAR = 8.0  # limit of the logarithm of a scale over the rms residual
 _TINY = (

@@ -31,7 +31,7 @@ from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
 from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import Stone
-from curlfit.throws.throw import last_motion
+from curlfit.throws.channels import last_motion
 
 _DEGREE = 5
 # length of a column, over the longest, below which it is rounding error

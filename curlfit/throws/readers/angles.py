@@ -4,6 +4,7 @@ a second mark."""
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,38 +39,40 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
     turn more than twice a second; columns named `phi` and `omega` then are rad and
     rad/s, with a note.
     """
-    for header, (quantity, unit, factor, stated), _ in parsed.series:
-        if quantity not in ("phi", "omega"):
-            continue
-        values = columns[quantity]
+    t = columns["t"]
+    for header, column, _ in parsed.series:
+        quantity = column.quantity
         if quantity == "phi":
             degrees = Option("units", "angle=deg")
             radians = Option("units", "angle=rad")
-        else:
+            jump = _jump_in_degrees(t, columns["phi"])
+        elif quantity == "omega":
             degrees = Option("units", "spin=deg/s")
             radians = Option("units", "spin=rad/s")
-        jump = jump_in_degrees(columns["t"], values) if quantity == "phi" else None
-        if stated:
-            named = parse_header(header)
-            if jump is not None and factor == 1 and named is not None and named.stated:
+            jump = None
+        else:
+            continue
+        if column.stated:
+            of_header = parse_header(header)  # a user may have stated another unit
+            header_states_it = of_header is not None and of_header.stated
+            if jump is not None and column.factor == 1 and header_states_it:
                 fault = (
-                    f"the header says {unit}, and the numbers jump by "
-                    f"{jump[1]} as degrees do; give {degrees}"
+                    f"the header says {column.unit}, and the numbers jump by "
+                    f"{jump.degrees} as degrees do; give {degrees}"
                 )
-                raise parsed.error(fault, jump[0], quantity, options=(degrees,))
+                raise parsed.error(fault, jump.row, quantity, options=(degrees,))
             continue
         remedy = Remedy("unit-of-angles", degrees, {"other": str(radians)})
         if jump is not None:
             fault = (
-                f"no unit is given, and the numbers jump by {jump[1]} as "
+                f"no unit is given, and the numbers jump by {jump.degrees} as "
                 f"degrees do; {remedy}"
             )
-            raise parsed.error(fault, jump[0], quantity, options=(degrees, radians))
-        rate = (
-            turning_rate(columns["t"], values)
-            if quantity == "phi"
-            else float(np.nanquantile(np.abs(values), 0.9))
-        )
+            raise parsed.error(fault, jump.row, quantity, options=(degrees, radians))
+        if quantity == "phi":
+            rate = _turning_rate(t, columns["phi"])
+        else:
+            rate = float(np.nanquantile(np.abs(columns["omega"]), 0.9))
         if rate <= MAX_SPIN or math.radians(rate) > MAX_SPIN:
             continue  # the times are wrong if degrees turn too fast too
         if header.strip().lower() != quantity:
@@ -123,35 +126,37 @@ def _off_course(parsed: ParsedFile, t: Floats, rows: Booleans) -> Finding:
     change = np.diff(np.concatenate([[False], rows, [False]]).astype(int))
     begins = np.flatnonzero(change == 1)
     ends = np.flatnonzero(change == -1) - 1
-    places = []
+    stretches = []
     options = []
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        place = _place(parsed, begin)
-        places.append(place if begin == end else f"{place} to {_place(parsed, end)}")
+        stretch = _row_in_words(parsed, begin)
+        if end > begin:
+            stretch += f" to {_row_in_words(parsed, end)}"
+        stretches.append(stretch)
         low = (t[begin] + t[max(begin - 1, 0)]) / 2
         high = (t[end] + t[min(end + 1, len(t) - 1)]) / 2
         options.append(Option("exclude", f"{low:.6g}:{high:.6g}"))
-    more = len(places) - _MOST_NAMED
+    more = len(stretches) - _MOST_NAMED
     if more > 0:
         remedies = [Remedy("leaves-the-rows-out", Option("exclude", "A:B"))]
-    elif len(places) == 1:
+    elif len(stretches) == 1:
         remedies = [Remedy("leaves-the-rows-out", options[0])]
     else:
         remedies = [
-            Remedy("leaves-out", option, {"rows": place})
-            for place, option in zip(places, options, strict=True)
+            Remedy("leaves-out", option, {"rows": stretch})
+            for stretch, option in zip(stretches, options, strict=True)
         ]
     return Finding.note(
         "angles-off-course",
         *remedies,
         count=int(rows.sum()),
-        places=places[:_MOST_NAMED],
+        places=stretches[:_MOST_NAMED],
         more=more if more > 0 else None,
     )
 
 
-def _place(parsed: ParsedFile, row: int) -> str:
-    """Where a row is, in words."""
+def _row_in_words(parsed: ParsedFile, row: int) -> str:
+    """The line of a row in the file, or its number where it has none."""
     place = parsed.place(row)
     if place["line"] is not None:
         return f"line {place['line']}"
@@ -204,12 +209,12 @@ def add_angle_of_mark(
     dx = x_mark - columns["x"]
     dy = y_mark - columns["y"]
     length = np.hypot(dx, dy)
-    seen = np.isfinite(length)
-    if seen.sum() < 2:
+    measured = length[np.isfinite(length)]
+    if len(measured) < 2:
         raise parsed.error(
             "stone and mark are never seen together; expected both in many rows"
         )
-    typical = float(np.median(length[seen]))
+    typical = float(np.median(measured))
     if not 0 < typical < _FARTHEST:
         other_unit = _unit_of_mark(parsed, columns, typical)
         if other_unit is not None:
@@ -227,7 +232,7 @@ def add_angle_of_mark(
     phi = np.arctan2(dy, dx)
     columns["phi"] = phi
     unwrap_angle(parsed, columns)
-    noise = float(scatter(length[seen]))
+    noise = float(scatter(measured))
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2
         across += columns["sigma_y"] ** 2 * np.cos(phi) ** 2
@@ -252,8 +257,10 @@ def add_angle_of_mark(
 
 def _length(columns: dict[str, Floats]) -> float:
     """Extent of the positions in m."""
-    seen = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
-    return float(np.hypot(np.ptp(columns["x"][seen]), np.ptp(columns["y"][seen])))
+    complete = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    x = columns["x"][complete]
+    y = columns["y"][complete]
+    return float(np.hypot(np.ptp(x), np.ptp(y)))
 
 
 def _unit_of_mark(
@@ -268,17 +275,20 @@ def _unit_of_mark(
     typical : distance of the mark from the stone in m.
     """
     length = _length(columns)
-    factors_as_read = [
-        series.column.factor
-        for series in parsed.series
-        if series.column.quantity in ("x", "y")
-    ]
-    if not typical or length <= LENGTH or not factors_as_read:
+    factor_as_read = next(
+        (
+            series.column.factor
+            for series in parsed.series
+            if series.column.quantity in ("x", "y")
+        ),
+        None,
+    )
+    if not typical or length <= LENGTH or factor_as_read is None:
         return None
     nearest = math.inf
     best_unit = None
     for unit in _LENGTHS:
-        factor = in_unit("x", unit).factor / factors_as_read[0]
+        factor = in_unit("x", unit).factor / factor_as_read
         off = abs(math.log(typical * factor / _HANDLE_ARM))
         if factor * length <= LENGTH and off < nearest:
             nearest = off
@@ -286,25 +296,29 @@ def _unit_of_mark(
     return None if best_unit is None else Option("units", f"length={best_unit}")
 
 
-def jump_in_degrees(t: Floats, angle: Floats) -> tuple[int, int] | None:
-    """Row and size (360 or 180) of the first jump of an apparently wrapped
-    angle in degrees.
+class _Jump(NamedTuple):
+    """A jump of an angle by 360 or 180 degrees: the row after it, and its size."""
 
-    None if the values do not look like one.
-    """
+    row: int
+    degrees: int
+
+
+def _jump_in_degrees(t: Floats, angle: Floats) -> _Jump | None:
+    """The first jump of an angle, if its numbers look like degrees within one turn, or
+    within half a turn; None if they do not."""
     if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
         return None
-    finite = np.flatnonzero(np.isfinite(angle))
-    degrees = np.radians(angle[finite])
-    period, wrapped = period_of(t[finite], degrees)
+    measured = np.flatnonzero(np.isfinite(angle))
+    radians = np.radians(angle[measured])
+    period, wrapped = period_of(t[measured], radians)
     if not wrapped:
         return None
-    large = np.abs(np.diff(degrees)) > 0.5 * period
-    row = int(finite[np.argmax(large) + 1])
-    return row, round(math.degrees(period))
+    large = np.abs(np.diff(radians)) > 0.5 * period
+    row = int(measured[np.argmax(large) + 1])
+    return _Jump(row, round(math.degrees(period)))
 
 
-def turning_rate(t: Floats, phi: Floats) -> float:
+def _turning_rate(t: Floats, phi: Floats) -> float:
     """Turning rate in rad/s that one in four tenths of the rows exceeds: a tenth
     averages out the noise, and single bad values do not count."""
     finite = np.flatnonzero(np.isfinite(phi))

@@ -29,6 +29,8 @@ _PLACEHOLDERS = np.array([0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0])
 """What programs write for a value that was lost."""
 _MANY = 10
 """Values of a channel that are not the same by chance."""
+_APART = 0.1
+"""m; at one time, a stone is at places no farther apart."""
 _Columns = dict[str, Floats]  # by quantity, with the times as "t"
 
 
@@ -41,8 +43,10 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     DataError, InputError : with the location of the fault.
     """
     settings = dict(parsed.settings)
-    axes_of_file = settings.pop("axes", None)
-    axes = (axes_of_file if reading.axes is None else reading.axes) or ""
+    axes = settings.pop("axes", None)
+    if reading.axes is not None:
+        axes = reading.axes
+    axes = axes or ""
     convention = parse_axes(axes)
     if reading.as_given:
         settings["as_given"] = True
@@ -54,24 +58,14 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         "labels": dict(parsed.labels),
     }
     if parsed.events:
-        without = []
-        if convention != AxisConvention():
-            without.append(Option("axes", left_out=True))
-        if reading.reference is not None:
-            without.append(Option("reference", left_out=True))
-        if without:
-            raise InputError(
-                f"{parsed.source}: times between lines have no axes and no pixels; "
-                f"{' and '.join(map(str, without))}",
-                options=tuple(without),
-            )
-        events = {
+        _require_no_axes(parsed, convention, reading)
+        return common | {
             "conventions": Conventions(),
             "events": parsed.events,
             "assumed": parsed.assumed,
             "odd_rows": parsed.odd_rows,
+            "notes": tuple(parsed.notes),
         }
-        return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
     as_given = bool(settings.get("as_given"))
     if not as_given:
@@ -85,15 +79,17 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         require_radians(parsed, columns)
     if "phi" in columns:
         parsed.notes += unwrap_angle(parsed, columns)
-    mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
+    mark = None
+    if {"x_mark", "y_mark"} <= columns.keys():
+        mark = convention.to_sheet(columns.pop("x_mark"), columns.pop("y_mark"))
     columns = _to_sheet_axes(columns, convention)
     if axes:
         parsed.notes.append(
             Finding.note("axes", axes=axes, states_zero=states_zero(axes))
         )
     relative_sigma = {name: columns.pop(f"sigma_{name}") for name in unscaled}
-    if len(mark) == 2:
-        add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
+    if mark is not None:
+        add_angle_of_mark(parsed, columns, mark)
     return common | {
         **{name: columns.get(name) for name in ("t", *CHANNELS)},
         "sigma": {
@@ -107,6 +103,23 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         "lines": parsed.lines,
         "conventions": Conventions(_factors(parsed), axes),
     }
+
+
+def _require_no_axes(
+    parsed: ParsedFile, convention: AxisConvention, reading: Reading
+) -> None:
+    """Refuse choices of axes and pixels for times between lines."""
+    without = []
+    if convention != AxisConvention():
+        without.append(Option("axes", left_out=True))
+    if reading.reference is not None:
+        without.append(Option("reference", left_out=True))
+    if without:
+        raise InputError(
+            f"{parsed.source}: times between lines have no axes and no pixels; "
+            f"{' and '.join(map(str, without))}",
+            options=tuple(without),
+        )
 
 
 def _factors(parsed: ParsedFile) -> dict[str, float]:
@@ -191,10 +204,15 @@ def _never_changes(values: Floats) -> bool:
     return len(measured) >= _MANY and bool(np.ptp(measured) == 0)
 
 
-def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
-    """Some rows of the columns, in another order perhaps; the parsed file has their
-    lines from then on."""
+def _keep_lines(parsed: ParsedFile, rows: np.ndarray) -> None:
+    """Keep the lines of some rows, in another order perhaps."""
     parsed.lines = None if parsed.lines is None else parsed.lines[rows]
+
+
+def _select_rows(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
+    """The columns with some of their rows, in another order perhaps; the parsed file
+    keeps the lines of these."""
+    _keep_lines(parsed, rows)
     return {name: values[rows] for name, values in columns.items()}
 
 
@@ -212,12 +230,12 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
             )
             parsed.notes.append(converted)
     columns = _not_empty(parsed)
-    clocks = {
+    times_of = {
         name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"
     }
-    clock_by_quantity = {name: clock_of(name, clocks) for name in columns}
+    clock_by_quantity = {name: clock_of(name, times_of) for name in columns}
     has_value = {}  # of each clock in use, the rows with a value of its quantities
-    for clock in clocks:
+    for clock in times_of:
         measured = [
             np.isfinite(values)
             for quantity, values in columns.items()
@@ -225,27 +243,18 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
         ]
         if measured:
             has_value[clock] = np.any(measured, axis=0)
+    several_clocks = len(has_value) > 1
     for clock, rows in has_value.items():
-        times = clocks[clock]
-        without_time = rows & ~np.isfinite(times)
-        if without_time.any():
-            fault = "the time is missing; each row needs one"
-            raise parsed.error(fault, int(np.argmax(without_time)), clock)
-        backward = np.diff(times[rows]) <= 0
-        if len(has_value) > 1 and backward.any():
-            row = int(np.flatnonzero(rows)[np.argmax(backward) + 1])
-            fault = f"time {times[row]:g} s is not later than the one before"
-            raise parsed.error(fault, row, clock)
-    has_time = {clock: np.isfinite(clocks[clock]) for clock in has_value}
+        _require_times(parsed, clock, times_of[clock], rows, in_order=several_clocks)
+    has_time = {clock: np.isfinite(times_of[clock]) for clock in has_value}
     filled = np.any([*has_value.values(), *has_time.values()], axis=0)
     empty_rows = int((~filled).sum())
     if empty_rows:
         parsed.notes.append(Finding.note("empty-rows", count=empty_rows))
-    if len(has_value) == 1:
-        rows_of = {clock: np.flatnonzero(rows) for clock, rows in has_time.items()}
-    else:
-        # of several clocks, a row counts only where one of its channels has a value
-        rows_of = {clock: np.flatnonzero(rows) for clock, rows in has_value.items()}
+    # Of several clocks, a row counts only where one of its channels has a value.
+    rows_that_count = has_value if several_clocks else has_time
+    rows_of = {clock: np.flatnonzero(rows) for clock, rows in rows_that_count.items()}
+    if several_clocks:
         merged = [
             {"clock": clock, "rows": len(rows)} for clock, rows in rows_of.items()
         ]
@@ -260,10 +269,31 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
         ]
         on_one_clock[quantity] = np.concatenate(pieces)
     on_one_clock["t"] = np.concatenate(
-        [clocks[clock][rows] for clock, rows in rows_of.items()]
+        [times_of[clock][rows] for clock, rows in rows_of.items()]
     )
-    _chosen(parsed, {}, np.concatenate(list(rows_of.values())))
+    _keep_lines(parsed, np.concatenate(list(rows_of.values())))
     return on_one_clock
+
+
+def _require_times(
+    parsed: ParsedFile, clock: str, times: Floats, rows: np.ndarray, *, in_order: bool
+) -> None:
+    """Raise `DataError` where a row that needs a time has none or, if the times must be
+    in order, one that is not later than that of the row before.
+
+    Parameters
+    ----------
+    clock : the quantity of the times. rows : whether each row needs one.
+    """
+    without_time = rows & ~np.isfinite(times)
+    if without_time.any():
+        fault = "the time is missing; each row needs one"
+        raise parsed.error(fault, int(np.argmax(without_time)), clock)
+    backward = np.diff(times[rows]) <= 0
+    if in_order and backward.any():
+        row = int(np.flatnonzero(rows)[np.argmax(backward) + 1])
+        fault = f"time {times[row]:g} s is not later than the one before"
+        raise parsed.error(fault, row, clock)
 
 
 def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
@@ -275,9 +305,10 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     merged = len(clocks) > 1
     if (np.diff(columns["t"]) < 0).any():
         order = np.argsort(columns["t"], kind="stable")
-        columns = _chosen(parsed, columns, order)
-        place = np.argsort(order)
-        moved = int((np.maximum.accumulate(place) > place).sum())
+        columns = _select_rows(parsed, columns, order)
+        # A row has moved if one that was above it is now below it.
+        row_after = np.argsort(order)
+        moved = int((np.maximum.accumulate(row_after) > row_after).sum())
         if not merged:
             parsed.notes.append(Finding.note("rows-sorted", count=moved))
     is_later = np.append(True, np.diff(columns["t"]) > 0)
@@ -301,17 +332,19 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     if averaged and not merged:
         sharing = averaged + len(np.unique(group[~as_first]))
         parsed.notes.append(Finding.note("equal-times", count=sharing))
-    columns = _chosen(parsed, columns, is_later | ~as_first)
+    columns = _select_rows(parsed, columns, is_later | ~as_first)
     begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
+    _keep_lines(parsed, begin)
     means = {name: block_means(values, begin)[0] for name, values in columns.items()}
-    return means | _chosen(parsed, {"t": columns["t"]}, begin)
+    means["t"] = columns["t"][begin]
+    return means
 
 
 def _require_one_place(
     parsed: ParsedFile, columns: _Columns, begin: np.ndarray, group: np.ndarray
 ) -> None:
-    """Refuse positions at one time that are farther apart than a stone moves from one
-    time to the next (or 0.1 m): two stones, or two throws.
+    """Refuse positions at one time that are farther apart than a stone moves in three
+    steps of time (or `_APART`): two stones, or two throws.
 
     Parameters
     ----------
@@ -330,7 +363,7 @@ def _require_one_place(
         steps = np.abs(np.diff(values[begin]))
         steps = steps[np.isfinite(steps)]
         usual = float(np.median(steps)) if len(steps) else 0.0
-        if off.max() > max(0.1, 3 * usual):
+        if off.max() > max(_APART, 3 * usual):
             row = int(np.argmax(off))
             select = Option("stone-index", "N")
             raise parsed.error(
@@ -376,10 +409,10 @@ def _to_sheet_axes(columns: _Columns, convention: AxisConvention) -> _Columns:
             columns.get("x", blank), columns.get("y", blank)
         )
     if convention.swapped:
-        for to, origin in (("sigma_x", "sigma_y"), ("sigma_y", "sigma_x")):
-            result.pop(to, None)
-            if origin in columns:
-                result[to] = columns[origin]
+        for sigma, sigma_in_file in (("sigma_x", "sigma_y"), ("sigma_y", "sigma_x")):
+            result.pop(sigma, None)
+            if sigma_in_file in columns:
+                result[sigma] = columns[sigma_in_file]
     for name in ("phi", "omega"):
         if name in columns:
             result[name] = convention.turn * columns[name]

@@ -16,6 +16,7 @@ from curlfit.throws.readers.parsed_file import ParsedFile
 
 _BLOCK = 10  # rows of a block, at least
 _MOST_BLOCKS = 50
+_HORIZON = 1e5  # m; a place so far away is none on the ice
 
 
 def pixels_to_metres(
@@ -54,14 +55,13 @@ def pixels_to_metres(
     u = columns.pop("u")
     v = columns.pop("v")
     x, y = plane(u, v)
-    seen = np.isfinite(u) & np.isfinite(v)
-    lost = seen & ~(
-        np.isfinite(x) & np.isfinite(y) & (np.abs(x) < 1e5) & (np.abs(y) < 1e5)
-    )
-    if lost.any():
+    measured = np.isfinite(u) & np.isfinite(v)
+    on_ice = (np.abs(x) < _HORIZON) & (np.abs(y) < _HORIZON)  # not of NaN
+    beyond = measured & ~on_ice
+    if beyond.any():
         raise parsed.error(
             "this pixel lies on or beyond the horizon of the plane of the known points",
-            int(np.argmax(lost)),
+            int(np.argmax(beyond)),
             "v",
         )
     columns["x"] = x
@@ -73,13 +73,16 @@ def pixels_to_metres(
     sizes = plane.jacobian(*_smooth(columns["t"], u, v))
     sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
     unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
-    noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
-    across, along = sizes * (1.0 if unknown else np.stack(noise))
+    one_pixel = np.ones_like(u)
+    sigma_u = columns.pop("sigma_u", one_pixel)
+    sigma_v = columns.pop("sigma_v", one_pixel)
+    across, along = sizes if unknown else sizes * np.stack([sigma_u, sigma_v])
     columns["sigma_x"] = np.hypot(*across)
     columns["sigma_y"] = np.hypot(*along)
-    if seen.any():
-        parsed.notes += _of_pixels(
-            plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown
+    if measured.any():
+        places = np.stack([x, y])[:, measured]
+        parsed.notes += _notes_on_map(
+            plane, reference, places, sizes[..., measured], unknown
         )
     if "phi" in columns:
         parsed.notes.append(Finding.note("angles-in-the-picture"))
@@ -94,14 +97,15 @@ def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     """The course of the pixels, by medians over blocks of rows. With its own
     pixel, the weight of a row would depend on its noise: 1 px is 1 % of the weight
     at the far end."""
-    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
-    count = min(len(seen) // _BLOCK, _MOST_BLOCKS)
-    if count < 2:
+    measured = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
+    blocks = min(len(measured) // _BLOCK, _MOST_BLOCKS)
+    if blocks < 2:
         return u, v
     series = np.stack([t, u, v])
-    knots = np.stack(
-        [np.median(series[:, b], 1) for b in np.array_split(seen, count)], 1
-    )
+    medians = [
+        np.median(series[:, rows], 1) for rows in np.array_split(measured, blocks)
+    ]
+    knots = np.stack(medians, 1)
     # on straight lines, a block before the first knot and after the last one
     first = 2 * knots[:, :1] - knots[:, 1:2]
     last = 2 * knots[:, -1:] - knots[:, -2:-1]
@@ -109,7 +113,7 @@ def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     return np.interp(t, times, smooth_u), np.interp(t, times, smooth_v)
 
 
-def _of_pixels(
+def _notes_on_map(
     plane: Homography, reference: str, places: Floats, sizes: Floats, unknown: bool
 ) -> list[Finding]:
     """Notes on the map from pixels to metres.

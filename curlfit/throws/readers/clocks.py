@@ -112,16 +112,16 @@ def clock_times(
         for row, text in enumerate(texts)
         if math.isnan(seconds[row]) and not is_gap(text)
     ]
-    known = np.flatnonzero(np.isfinite(seconds))
-    if not len(known):
+    timed = np.flatnonzero(np.isfinite(seconds))  # rows
+    if not len(timed):
         return ClockTimes(seconds, "", bad)
-    seconds -= seconds[known[0]]
+    seconds -= seconds[timed[0]]
     if not dates and not any(text[4:5] == "-" for text in texts):
         round_of_the_clock = DAY if has_hours or not watches else HOUR
-        back = np.diff(seconds[known]) < -round_of_the_clock / 2
-        for row in known[1:][back]:
+        back = np.diff(seconds[timed]) < -round_of_the_clock / 2
+        for row in timed[1:][back]:
             seconds[row:] += round_of_the_clock
-    return ClockTimes(np.round(seconds, 9), texts[known[0]], bad, in_hundredths)
+    return ClockTimes(np.round(seconds, 9), texts[timed[0]], bad, in_hundredths)
 
 
 def _day_is_first(dates: Sequence[re.Match[str]]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple
@@ -91,12 +91,10 @@ def named_column(header: str, quantity: str) -> Column:
     ------
     InputError : what is in brackets there is no unit of the quantity.
     """
-    words = _words(header, True)
     units = units_of(quantity)
-    for begin in (-2, -1):
-        unit = "".join(words[begin:])
-        if unit in units:
-            return Column(quantity, "/".join(words[begin:]), units[unit])
+    unit = _unit_at_end(header, units)
+    if unit:
+        return Column(quantity, "/".join(unit), units["".join(unit)])
     if bracket := re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", header):
         return in_unit(quantity, bracket[1])
     return Column(quantity, next(iter(units)), 1.0, stated=False)
@@ -105,13 +103,17 @@ def named_column(header: str, quantity: str) -> Column:
 def unit_in(header: str, kind: str) -> str:
     """The unit in brackets, or as the last word, of a header of some kind of quantity;
     empty if there is none."""
-    units = units_of(kind)
+    return "".join(_unit_at_end(header, units_of(kind)))
+
+
+def _unit_at_end(header: str, units: Collection[str]) -> list[str]:
+    """The last word of a header, or the last two, that are one of some units; empty if
+    they are none."""
     words = _words(header, True)
-    for begin in (-2, -1):
-        unit = "".join(words[begin:])
-        if unit in units:
-            return unit
-    return ""
+    for last in (words[-2:], words[-1:]):
+        if "".join(last) in units:
+            return last
+    return []
 
 
 def resembled(header: str) -> str | None:
@@ -177,10 +179,10 @@ def in_unit(quantity: str, unit: str) -> Column:
     if text not in units and text in _UNITS["pixel"] and quantity in ("x", "y"):
         return Column("u" if quantity == "x" else "v", "px", 1.0)
     if text not in units:
-        known = [name for name in units if name.isascii()]
+        expected = ", ".join(name for name in units if name.isascii())
         raise InputError(
             f"{quantity} in {quoted(unit.strip())}: unknown unit; expected one of "
-            f"{', '.join(known)}"
+            f"{expected}"
         )
     return Column(quantity, unit.strip(), units[text])
 
@@ -199,7 +201,11 @@ def parse_units(text: str | None) -> dict[str, str]:
         name, equals, unit = (piece.strip() for piece in part.partition("="))
         quantity = _quantity([name.lower()]) if equals and unit else None
         if equals and name.lower() == "date":
-            _require_order(unit)
+            if unit not in ("day-first", "month-first"):
+                raise InputError(
+                    f"units date={quoted(unit)}: expected date=day-first or "
+                    "date=month-first"
+                )
             units["date"] = unit
             continue
         if equals and unit and name.lower() == "length":
@@ -216,14 +222,6 @@ def parse_units(text: str | None) -> dict[str, str]:
             in_unit(quantity, unit)
             units[quantity] = unit
     return units
-
-
-def _require_order(order: str) -> None:
-    """Raise `InputError` for an order of the parts of a date that is none."""
-    if order not in ("day-first", "month-first"):
-        raise InputError(
-            f"units date={quoted(order)}: expected date=day-first or date=month-first"
-        )
 
 
 def with_unit(column: Column, unit: str | None) -> Column:
@@ -277,9 +275,10 @@ def _quantity(words: list[str]) -> str | None:
     without_sigma = [word for word in words if word not in _SIGMA]
     quantity = _named("".join(without_sigma), _NAMES)
     if len(without_sigma) < len(words):
-        return f"sigma_{quantity}" if quantity not in (None, "t") else None
-    if quantity is None and len(words) > 1:
-        for clock, of_clock in ((words[0], words[1:]), (words[-1], words[:-1])):
-            if clock != "seconds" and re.fullmatch(_NAMES["t"], clock):
-                return _named("".join(of_clock), _CLOCKS)
-    return quantity
+        return None if quantity in (None, "t") else f"sigma_{quantity}"
+    if quantity is not None or len(words) < 2:
+        return quantity
+    for clock, channel in ((words[0], words[1:]), (words[-1], words[:-1])):
+        if clock != "seconds" and re.fullmatch(_NAMES["t"], clock):
+            return _named("".join(channel), _CLOCKS)
+    return None

@@ -93,11 +93,12 @@ def read_comments(file: TextFile, until: int | None = None) -> Comments:
         raise file.error(fault, settings_lines[_MOST_SETTINGS][0])
     settings, fault = _settings(settings_lines)
     if fault:
-        # The fault is that of the first line with which the lines so far have one.
+        # The fault is that of the first line with which the lines so far have one: by
+        # bisection, as each trial reads all lines so far.
         first = bisect_left(
             range(len(settings_lines)),
             True,
-            key=lambda end: bool(_settings(settings_lines[: end + 1])[1]),
+            key=lambda last: bool(_settings(settings_lines[: last + 1])[1]),
         )
         _, fault = _settings(settings_lines[: first + 1])
         raise file.error(fault, settings_lines[first][0])
@@ -139,10 +140,14 @@ def _require_no_colon(file: TextFile, index: int, body: str) -> None:
     first, dot, _ = key.partition(".")
     if first not in _SETTINGS or not value or not _KEY.fullmatch(key):
         return
-    meant = [f"{key} = {value}", f"{key} = '{value}'"]
-    usable = [text for text in meant if not _settings([(index, text)])[1]]
+    expected = f"{key} = {value}"
+    usable = True
+    if _settings([(index, expected)])[1]:
+        in_quotes = f"{key} = '{value}'"
+        usable = not _settings([(index, in_quotes)])[1]
+        if usable:
+            expected = in_quotes
     if dot or (usable and first not in ("reference", "columns")):
-        expected = [*usable, meant[0]][0]
         fault = f"{quoted(body)} is no setting; expected {cut(expected)}"
         raise file.error(fault, index)
 

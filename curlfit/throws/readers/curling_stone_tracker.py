@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -63,7 +65,8 @@ throws are."""
 _FASTER = 1.0  # ft/s by which it may seem faster than before, from noise alone
 
 
-class _Piece(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Piece:
     """A stone from where it came into sight to where it was lost: an entry of the file.
 
     Attributes
@@ -79,13 +82,13 @@ class _Piece(NamedTuple):
     extrapolated: int
     computed: list[str]
 
-    @property
+    @cached_property
     def first_velocity(self) -> Floats:
         """Velocity over the first second, ft/s."""
         rows = slice(0, _ROWS_OF_VELOCITY)
         return _slope(self.t[rows], self.positions[rows])
 
-    @property
+    @cached_property
     def last_velocity(self) -> Floats:
         """Velocity over the last second, ft/s."""
         rows = slice(-_ROWS_OF_VELOCITY, None)
@@ -120,17 +123,17 @@ class _Stone(NamedTuple):
         single one does not change."""
         positions = self.positions
         few = max(1, min(_FEW_ROWS, len(positions) // 2))
-        moved = np.median(positions[-few:], axis=0) - np.median(positions[:few], axis=0)
-        return math.hypot(*moved) > _MOVED
+        first = np.median(positions[:few], axis=0)
+        last = np.median(positions[-few:], axis=0)
+        return math.hypot(*(last - first)) > _MOVED
 
     @property
     def begins_to_move(self) -> float:
         """When it is first away from where it was, s; infinite for one at rest."""
         if not self.moves:
             return math.inf
-        away = np.hypot(
-            *(self.positions - np.median(self.positions[:_FEW_ROWS], axis=0)).T
-        )
+        first = np.median(self.positions[:_FEW_ROWS], axis=0)
+        away = np.hypot(*(self.positions - first).T)
         return float(self.t[np.argmax(away > _MOVED)])
 
     @property
@@ -169,7 +172,13 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
 
 CURLING_STONE_TRACKER = Format(
-    _NAME, _recognizes, _contents, "stone", "stone_index", 0, ("stone_index",)
+    name=_NAME,
+    recognizes=_recognizes,
+    contents=_contents,
+    what="stone",
+    selected_by="stone_index",
+    usual=0,
+    selections=("stone_index",),
 )
 
 
@@ -233,46 +242,41 @@ def _joined(pieces: Sequence[_Piece]) -> list[_Stone]:
     """The stones, each with the pieces that its motion continues; of several
     continuations that which misses the expected place by least."""
     in_order = sorted(pieces, key=lambda piece: float(piece.t[0]))
-    ends = [(piece, piece.first_velocity, piece.last_velocity) for piece in in_order]
     misses = []
-    for k, (earlier, _, before) in enumerate(ends):
-        for following, (later, after, _) in enumerate(ends[k + 1 :], k + 1):
-            miss = _miss(earlier, before, later, after)
+    for before in range(len(in_order)):
+        for after in range(before + 1, len(in_order)):
+            miss = _miss(in_order[before], in_order[after])
             if miss is not None:
-                misses.append((miss, k, following))
+                misses.append((miss, before, after))
     next_of: dict[int, int] = {}
-    continued = set[int]()
-    for _, k, following in sorted(misses):
-        if k not in next_of and following not in continued:
-            next_of[k] = following
-            continued.add(following)
+    continues_another = set[int]()
+    for _, before, after in sorted(misses):
+        if before not in next_of and after not in continues_another:
+            next_of[before] = after
+            continues_another.add(after)
     stones = []
-    for k in range(len(in_order)):
-        if k in continued:
+    for first in range(len(in_order)):
+        if first in continues_another:
             continue
-        chain = [k]
+        chain = [first]
         while chain[-1] in next_of:
             chain.append(next_of[chain[-1]])
-        stones.append(_Stone([in_order[member] for member in chain]))
+        stones.append(_Stone([in_order[piece] for piece in chain]))
     return stones
 
 
-def _miss(
-    earlier: _Piece, before: Floats, later: _Piece, after: Floats
-) -> float | None:
+def _miss(earlier: _Piece, later: _Piece) -> float | None:
     """How far the later piece begins from where the earlier one leads, ft; None if it
     is another stone.
 
     A stone that goes from one velocity to another at a constant deceleration goes the
     mean of both times the time between; it does not become faster.
-
-    Parameters
-    ----------
-    before, after : velocity where it was lost and where it came into sight, ft/s.
     """
     gap = float(later.t[0] - earlier.t[-1])
     if earlier.color != later.color or gap <= 0:
         return None
+    before = earlier.last_velocity
+    after = later.first_velocity
     if math.hypot(*after) > math.hypot(*before) + _FASTER:
         return None
     way = (before + after) / 2 * gap
@@ -308,10 +312,11 @@ def _pieces(file: TextFile) -> list[_Piece]:
 def _piece(file: TextFile, number: int, entry: Any) -> _Piece:
     """An entry of the file, counting from 1."""
 
+    of_color = ""  # in a message, as soon as it is read
+
     def refuse(fault: str) -> DataError:
         return file.error(f"entry {number} of its stones{of_color}: {fault}")
 
-    of_color = ""
     if not isinstance(entry, dict):
         raise refuse(f"{quoted(entry)} found; {_EXPECTED}")
     color = entry.get("color")
@@ -331,10 +336,11 @@ def _piece(file: TextFile, number: int, entry: Any) -> _Piece:
         listed = ", ".join(f"{cut(key)} {length}" for key, length in lengths.items())
         raise refuse(f"histories of unlike lengths: {cut(listed, 200)}")
     times = histories["time_history"]
+    positions_as_read = histories["position_history"]
     if len(times) > MOST_NUMBERS // 3:
         raise refuse(f"{len(times)} times; expected those of one video")
     for row, (time, position) in enumerate(
-        zip(times, histories["position_history"], strict=True), 1
+        zip(times, positions_as_read, strict=True), 1
     ):
         if not is_number(time):
             raise refuse(f"time {row} is {quoted(time)}; expected a number of seconds")
@@ -345,14 +351,15 @@ def _piece(file: TextFile, number: int, entry: Any) -> _Piece:
     back = np.diff(t) < 0
     if back.any():
         row = int(np.argmax(back)) + 1
-        fault = f"time {row + 1} is {t[row]:g} s, after {t[row - 1]:g} s; expected"
-        raise refuse(f"{fault} times that do not go back")
-    positions = np.array(
-        [position[:2] for position in histories["position_history"]], float
-    )
-    rows = len(t) - _extrapolated(histories.get("acceleration_history", []))
+        raise refuse(
+            f"time {row + 1} is {t[row]:g} s, after {t[row - 1]:g} s; expected times "
+            "that do not go back"
+        )
+    positions = np.array([position[:2] for position in positions_as_read], float)
+    extrapolated = _extrapolated(histories.get("acceleration_history", []))
+    rows = len(t) - extrapolated
     computed = [key for key in _COMPUTED if key in histories]
-    return _Piece(color, t[:rows], positions[:rows], len(t) - rows, computed)
+    return _Piece(color, t[:rows], positions[:rows], extrapolated, computed)
 
 
 def _is_position(value: Any) -> bool:

@@ -10,7 +10,6 @@ project (github.com/DeepLabCut/DeepLabCut, deeplabcut/create_project/new.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -26,37 +25,36 @@ _PCUTOFF = 0.6
 
 def _recognizes(head: list[str]) -> bool:
     """Whether a file begins with the names of a network and its points."""
-    first_cells = [cells[0].lower() for cells in _cells(head[:3])]
-    return first_cells[:1] == ["scorer"] and "bodyparts" in first_cells
+    kinds = [headings_in(line)[0].lower() for line in head[:3]]
+    return kinds[:1] == ["scorer"] and "bodyparts" in kinds
 
 
 def _table(file: TextFile) -> Table:
     """The table with each point as an object."""
     first = file.head()
-    header = lines_of_data(file, first, len(_HEADER))
-    names_of_line = {
-        cells[0].lower(): (index, cells)
-        for index, cells in zip(
-            header, _cells([file.lines[index] for index in header]), strict=True
-        )
-    }
-    if not {"bodyparts", "coords"} <= names_of_line.keys():
+    line_of_kind = {}  # index of a line of the header, by its first cell
+    for index in lines_of_data(file, first, len(_HEADER)):
+        kind = headings_in(file.lines[index])[0].lower()
+        line_of_kind[kind] = index
+    if not {"bodyparts", "coords"} <= line_of_kind.keys():
         raise file.error(f"expected header lines {', '.join(_HEADER)}", first)
-    _, points = names_of_line["bodyparts"]
-    _, individuals = names_of_line.get("individuals", (0, []))
+    points = headings_in(file.lines[line_of_kind["bodyparts"]])
+    individuals = []
+    if "individuals" in line_of_kind:
+        individuals = headings_in(file.lines[line_of_kind["individuals"]])
     names = [
         f"{individual} {point}".strip()
         for point, individual in zip_longest(points, individuals, fillvalue="")
     ]
-    index, _ = names_of_line["coords"]
-    table = Table.at(file, index)
+    table = Table.at(file, line_of_kind["coords"])
     headings = ["frame", *table.headings[1:]]
     objects = {}
     likelihoods: dict[int, Likelihood] = {}
-    for name, places in places_by_name(["", *names[1 : len(headings)]]).items():
-        measured = [place for place in places if headings[place] != "likelihood"]
-        objects[name] = [0, *measured]
-        for place in places:
+    names_of_columns = ["", *names[1 : len(headings)]]
+    for name, columns in places_by_name(names_of_columns).items():
+        measured = [place for place in columns if headings[place] != "likelihood"]
+        objects[name] = [0, *measured]  # with the frame
+        for place in columns:
             if headings[place] == "likelihood":
                 of_point = Likelihood(place, _PCUTOFF)
                 likelihoods |= dict.fromkeys(measured, of_point)
@@ -67,11 +65,6 @@ def _table(file: TextFile) -> Table:
         likelihoods=likelihoods,
         units="length=px",
     )
-
-
-def _cells(lines: Sequence[str]) -> list[list[str]]:
-    """The cells of header lines."""
-    return [headings_in(line) for line in lines]
 
 
 DEEPLABCUT = layout("deeplabcut", _recognizes, _table)

@@ -79,20 +79,22 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
 
 DIGITALCURLING = Format(
-    "digitalcurling",
-    _recognizes,
-    _contents,
-    "shot",
-    "shot",
-    None,
-    ("shot", "stone_index"),
+    name="digitalcurling",
+    recognizes=_recognizes,
+    contents=_contents,
+    what="shot",
+    selected_by="shot",
+    usual=None,
+    selections=("shot", "stone_index"),
 )
 
 
 def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedFile:
     parsed = ParsedFile.begin(file, "digitalcurling", _HEAD)
     notes = parsed.notes
-    period, positions, names = _paths(file, chosen)
+    paths = _paths(file, chosen)
+    names = paths.names
+    positions = paths.positions
     xy = positions[:, :, :2]
     extent = np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)
     way = np.hypot(*extent.T)
@@ -112,7 +114,7 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
         fault = does_not_move(stone, names[stone], moving)
         raise file.error(fault, chosen.line - 1)
     # A free throw: from its first motion until another stone moves.
-    time = period * np.arange(positions.shape[1])
+    time = paths.period * np.arange(positions.shape[1])
     begin = first_frame[stone]
     frames_of_others = [
         frame
@@ -132,7 +134,7 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
         name=names[stone],
         thrown=bool(stone == thrown),
         count=int(keep.sum()),
-        period=period,
+        period=paths.period,
     )
     notes.insert(0, logged)
     notes.append(Finding.note("simulated"))
@@ -181,9 +183,29 @@ def _shot(
     return None
 
 
-def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
-    """Frame interval in s; x, y, angle by stone and frame, shape (stones,
-    n, 3); names."""
+class _Paths(NamedTuple):
+    """The paths of all stones of a shot.
+
+    Attributes
+    ----------
+    period : time between frames, s.
+    positions : x, y (m) and angle (rad), shape (stones, frames, 3); NaN for a stone
+        that is not on the sheet.
+    names : of the stones.
+    """
+
+    period: float
+    positions: Floats
+    names: list[str]
+
+
+def _paths(file: TextFile, shot: Shot) -> _Paths:
+    """The paths of the stones, from where they start and what changes in each frame.
+
+    Raises
+    ------
+    DataError : the trajectory is no such log, or too large.
+    """
 
     def refuse(message: str) -> DataError:
         return file.error(f"{shot.name}: {message}", shot.line - 1)
@@ -205,22 +227,23 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
     }
     if not 0 < len(stones) <= min(_MOST_STONES, MOST_NUMBERS / (len(frames) + 1)):
         raise refuse("the start needs some stones by team")
-    places = {key: slot for slot, key in enumerate(stones)}
+    number_of = {key: number for number, key in enumerate(stones)}
     positions = np.empty((len(stones), len(frames) + 1, 3))
+    frame = 0
     try:
-        count = 0
         positions[:, 0] = [_stone(stone) for stone in stones.values()]
-        for count, changes in enumerate(frames, 1):
-            positions[:, count] = positions[:, count - 1]
+        for frame, changes in enumerate(frames, 1):
+            positions[:, frame] = positions[:, frame - 1]
             for change in changes:
                 team = change["team"]
                 if not isinstance(team, str):
                     team = f"team{team}"
-                place = places[team, change["index"]]
-                positions[place, count] = _stone(change["value"])
+                stone = number_of[team, change["index"]]
+                positions[stone, frame] = _stone(change["value"])
     except (KeyError, TypeError, ValueError):
-        raise refuse(f"frame {count}: {_CHANGE}") from None
-    return float(period), positions, [f"{team} stone {k + 1}" for team, k in stones]
+        raise refuse(f"frame {frame}: {_CHANGE}") from None
+    names = [f"{team} stone {k + 1}" for team, k in stones]
+    return _Paths(float(period), positions, names)
 
 
 def _stone(value: Any) -> list[float]:

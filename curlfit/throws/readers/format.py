@@ -100,7 +100,8 @@ class Format(NamedTuple):
         DataError : several throws, of which one must be selected, or one that
             determines nothing by itself. InputError : no such throw.
         """
-        labels, count = contents.labels, len(contents.labels)
+        labels = contents.labels
+        count = len(labels)
         flag = f"--{self.selected_by.replace('_', '-')}"
         if list(labels) == [""] and number is not None:
             raise InputError(

@@ -34,7 +34,7 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     DataError, InputError : not a table, a column that is missing or not numeric.
     """
     TABLE.check(name, reading)
-    chosen = parse_units(reading.units)
+    units_of_user = parse_units(reading.units)
     parsed = ParsedFile(name, "table")
     values, stated = _variables(table, parsed)
     names = list(values)
@@ -48,7 +48,7 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     arrays: dict[int, Floats] = {}
     for index, column in columns.items():
         header = names[index]
-        if column.base not in chosen:
+        if column.base not in units_of_user:
             try:
                 column = with_unit(column, stated.get(header))
             except InputError as error:
@@ -66,15 +66,14 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
         raise parsed.error("no rows")
     for index, column in columns.items():
         parsed.add(names[index], column, arrays[index])
-    words = {
-        header: cells
-        for index, header in enumerate(names)
-        if index not in columns
-        and (cells := _cells(values[header], len(parsed.series[0].values)))
-    }
-    return assemble(
-        TABLE.selected(name, throws_of(parsed, words), reading.stone_index), reading
-    )
+    rows = len(parsed.series[0].values)
+    cells_by_header = {}  # of columns that may name the throw of each row
+    for index, header in enumerate(names):
+        array = as_array(values[header])
+        if index not in columns and array.shape == (rows,):
+            cells_by_header[header] = array.tolist()
+    contents = throws_of(parsed, cells_by_header)
+    return assemble(TABLE.selected(name, contents, reading.stone_index), reading)
 
 
 def _in_unit(values: Any, column: Column, parsed: ParsedFile, header: str) -> Floats:
@@ -88,13 +87,8 @@ def _in_unit(values: Any, column: Column, parsed: ParsedFile, header: str) -> Fl
     return numbers(values, fault)
 
 
-def _cells(values: Any, rows: int) -> list[Any]:
-    """The cells of a column that may name the throw of each row; empty of another."""
-    array = as_array(values)
-    return array.tolist() if array.shape == (rows,) else []
-
-
 def _variables(table: Any, parsed: ParsedFile) -> _Variables:
+    """The columns of a table, whatever has made it, and the units that it states."""
     if hasattr(table, "data_vars") and hasattr(table, "coords"):
         return _of_dataset(table, parsed)
     if hasattr(table, "collect") and hasattr(table, "lazy"):  # a LazyFrame of polars
@@ -113,12 +107,15 @@ def _variables(table: Any, parsed: ParsedFile) -> _Variables:
 
 
 def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
-    every = {str(key): table[key] for key in [*table.coords, *table.data_vars]}
+    """The variables along one dimension, and the units that they state."""
+    variables = {str(key): table[key] for key in [*table.coords, *table.data_vars]}
     flat = {
-        name: variable for name, variable in every.items() if len(variable.dims) == 1
+        name: variable
+        for name, variable in variables.items()
+        if len(variable.dims) == 1
     }
-    if len(flat) < len(every):
-        ignored = [name for name in every if name not in flat]
+    if len(flat) < len(variables):
+        ignored = [name for name in variables if name not in flat]
         parsed.notes.append(Finding.note("variables-ignored", variables=ignored))
     dimensions = {
         name: variable.dims[0]

@@ -70,7 +70,9 @@ class Headings(NamedTuple):
             parsed.notes.insert(0, not_used)
         return columns
 
-    def columns(self, reading: Reading, own: Mapping[str, str]) -> dict[int, Column]:
+    def columns(
+        self, reading: Reading, named_in_file: Mapping[str, str]
+    ) -> dict[int, Column]:
         """Columns to read, by index.
 
         With a reference, positions are in pixels: x and y without a unit are then in
@@ -81,7 +83,7 @@ class Headings(NamedTuple):
 
         Parameters
         ----------
-        own : columns that the file itself names.
+        named_in_file : headings that the file itself names, by quantity.
 
         Raises
         ------
@@ -89,14 +91,14 @@ class Headings(NamedTuple):
         """
         units = c.parse_units(reading.units)
         words = [name.strip().lower() for name in self.names]
-        headed = set(c.quantities_of(self.names))
+        quantities = set(c.quantities_of(self.names))
         has_reference = reading.reference is not None
         # Beside x and y, a column u is a velocity, and v with it.
-        velocities = not has_reference and {"x", "y"} <= headed and "u" in words
-        pixels = has_reference or ({"u", "v"} <= set(words) and not velocities)
-        has_both = {"x", "y", "u", "v"} <= headed and not velocities
+        u_is_velocity = not has_reference and {"x", "y"} <= quantities and "u" in words
+        in_pixels = has_reference or ({"u", "v"} <= set(words) and not u_is_velocity)
+        in_both = {"x", "y", "u", "v"} <= quantities and not u_is_velocity
         frames: list[int] = []
-        if "t" not in headed:
+        if "t" not in quantities:
             frames = [
                 index
                 for index, word in enumerate(words)
@@ -107,27 +109,30 @@ class Headings(NamedTuple):
             """A column in the unit that the user gives, or in pixels."""
             column = c.with_unit(column, units.get(column.base))
             is_place = column.quantity in ("x", "y", "sigma_x", "sigma_y")
-            if is_place and pixels and not has_both and not column.stated:
+            if is_place and in_pixels and not in_both and not column.stated:
                 axis = "u" if column.base == "x" else "v"
                 return Column(column.quantity[:-1] + axis, "px", 1.0)
             return column
 
-        named = self._named({**own, **reading.columns}, units)
-        columns = {index: in_unit(column) for index, column in named.items()}
-        chosen = {column.quantity for column in columns.values()}
-        index_of: dict[str, int] = {}
-        for index, (name, word) in enumerate(zip(self.names, words, strict=True)):
-            if index in columns or (velocities and word in ("u", "v")):
-                continue
-            column = c.parse_header(name)
+        def by_heading(index: int) -> Column | None:
+            """The column that a heading means in one of the usual words, if it does."""
+            word = words[index]
+            if u_is_velocity and word in ("u", "v"):
+                return None
+            if in_pixels and word in ("v", "sigma_v"):
+                return in_unit(Column(word, "px", 1.0))
             if index in frames and units.get("t", "").endswith("fps"):
-                column = Column("t", "s", 1.0, stated=False)
-            if pixels and word in ("v", "sigma_v"):
-                column = Column(word, "px", 1.0)
-            if column is None:
-                continue
-            column = in_unit(column)
-            if column.quantity in chosen:
+                return in_unit(Column("t", "s", 1.0, stated=False))
+            column = c.parse_header(self.names[index])
+            return None if column is None else in_unit(column)
+
+        of_user = self._named({**named_in_file, **reading.columns}, units)
+        columns = {index: in_unit(column) for index, column in of_user.items()}
+        quantities_of_user = {column.quantity for column in columns.values()}
+        index_of: dict[str, int] = {}
+        for index, name in enumerate(self.names):
+            column = None if index in columns else by_heading(index)
+            if column is None or column.quantity in quantities_of_user:
                 continue
             other = index_of.setdefault(column.quantity, index)
             if other != index:
@@ -137,9 +142,9 @@ class Headings(NamedTuple):
                 )
             columns[index] = column
         columns |= self._in_other_words(columns, in_unit)
-        if has_both:
+        if in_both:
             left_out = ("u", "v")
-            if has_reference or chosen & {"u", "v"}:
+            if has_reference or quantities_of_user & {"u", "v"}:
                 left_out = ("x", "y")
             columns = {
                 index: column
@@ -261,7 +266,7 @@ def named_columns(
     quantity_of: Callable[[str], str | None],
     expected: str,
 ) -> dict[int, str]:
-    """The quantities of the columns that the user names, by place; a heading may be
+    """The quantities of the columns that the user names, by index; a heading may be
     named without its unit.
 
     Parameters
@@ -284,17 +289,19 @@ def named_columns(
                 f"columns {quoted(key)}={quoted(header)}: expected one of {expected}"
             )
         sought = header.strip().lower()
-        alike = names if sought in names else list(map(without_unit, names))
-        places = [place for place, name in enumerate(alike) if name == sought]
-        if len(places) != 1 or places[0] in quantities:
-            how_many = (
-                "more than one column, or one named twice," if places else "no column"
-            )
+        candidates = names
+        if sought not in names:
+            candidates = [without_unit(name) for name in names]
+        matching = [index for index, name in enumerate(candidates) if name == sought]
+        if len(matching) != 1 or matching[0] in quantities:
+            how_many = "no column"
+            if matching:
+                how_many = "more than one column, or one named twice,"
             raise error(
                 f"columns {key}={quoted(header)}: {how_many} of this name among "
                 f"{_listed(headings)}"
             )
-        quantities[places[0]] = quantity
+        quantities[matching[0]] = quantity
     return quantities
 
 
@@ -322,9 +329,10 @@ def missing_columns(quantities: Iterable[str]) -> list[str]:
     missing = [axis for axis in axes if axis not in present]
     if missing == ["x", "y"] and present & without_axes:
         missing = []  # a gyroscope or a radar alone
+    if "t" in present:
+        return missing
     timed = {*axes, *without_axes} & present
-    if "t" not in present and (
-        not timed or any(clock_of(quantity, present) == "t" for quantity in timed)
-    ):
+    have_own_clocks = all(clock_of(quantity, present) != "t" for quantity in timed)
+    if not timed or not have_own_clocks:
         missing.insert(0, "t")
     return missing

@@ -18,6 +18,13 @@ from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 
+_LEAST_WIDTH = 1e-3  # of the length of the points; narrower ones are on one line
+_MOST_OFF = 0.1  # rms of the residuals over that of the points about their centre
+# of the equations of the map, relative to the largest; below it they leave a further
+# direction open
+_LEAST_SINGULAR_VALUE = 1e-4
+_LEAST_DETERMINANT = 1e-6  # of the map between normalised points, of norm 1
+
 
 class Homography(NamedTuple):
     """x, y in m from u, v in pixels.
@@ -71,9 +78,9 @@ def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
     -------
     of shape (..., errors, 2, n).
     """
-    places = np.stack([x, y, np.ones_like(x)], -2)[..., None, :, :]
-    moved = errors @ places
-    off: Floats = moved[..., :2, :] - places[..., :2, :] * moved[..., 2:, :]
+    on_sheet = np.stack([x, y, np.ones_like(x)], -2)[..., None, :, :]
+    moved = errors @ on_sheet
+    off: Floats = moved[..., :2, :] - on_sheet[..., :2, :] * moved[..., 2:, :]
     return off
 
 
@@ -105,7 +112,7 @@ def homography(
         centred = points - points.mean(axis=1, keepdims=True)
         spread = np.linalg.svd(centred, compute_uv=False)
         require(
-            bool(spread[1] > 1e-3 * spread[0]),
+            bool(spread[1] > _LEAST_WIDTH * spread[0]),
             f"the points are collinear {what}; {area}",
         )
     image, to_image = normalised(pixels)
@@ -125,7 +132,7 @@ def homography(
     fitted = Homography(matrix / np.abs(matrix).max(), n, rms_px)
     rms_m = _rms(np.stack(fitted(*pixels)) - metres)
     require(
-        bool(np.isfinite(rms_m)) and _rms(off) <= 0.1,
+        bool(np.isfinite(rms_m)) and _rms(off) <= _MOST_OFF,
         f"the points do not fit an image of a plane: rms {fitted.rms_px:.3g} pixels "
         f"({rms_m:.3g} m); two of them may be interchanged",
     )
@@ -156,8 +163,9 @@ def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool
     rows = transform_rows(image, sheet)
     _, sizes, directions = np.linalg.svd(rows.reshape(-1, 9))
     matrix: Floats = directions[-1].reshape(3, 3)
-    one_direction = sizes[7] >= 1e-4 * sizes[0]
-    return matrix, bool(one_direction and abs(np.linalg.det(matrix)) >= 1e-6)
+    one_direction = sizes[7] >= _LEAST_SINGULAR_VALUE * sizes[0]
+    invertible = abs(np.linalg.det(matrix)) >= _LEAST_DETERMINANT
+    return matrix, bool(one_direction and invertible)
 
 
 def _least_squares(
@@ -173,10 +181,10 @@ def _least_squares(
     """
     from scipy.optimize import least_squares
 
-    places = np.stack([*sheet, np.ones(sheet.shape[1])])
+    on_sheet = np.stack([*sheet, np.ones(sheet.shape[1])])
 
     def off(elements: Floats) -> Floats:
-        u, v, w = camera @ (np.eye(3) + _generators(elements)) @ places
+        u, v, w = camera @ (np.eye(3) + _generators(elements)) @ on_sheet
         return (image - np.stack([u, v]) / w).ravel()
 
     for _ in range(2):  # the second time about the optimum
@@ -189,8 +197,8 @@ def _least_squares(
 
 def _generators(elements: Floats) -> Floats:
     """Matrices, shape (..., 3, 3), of their first eight elements; the last is 0."""
-    whole = np.concatenate([elements, np.zeros_like(elements[..., :1])], -1)
-    return whole.reshape(*elements.shape[:-1], 3, 3)
+    all_nine = np.concatenate([elements, np.zeros_like(elements[..., :1])], -1)
+    return all_nine.reshape(*elements.shape[:-1], 3, 3)
 
 
 def normalised(points: Floats) -> tuple[Floats, Floats]:

@@ -46,6 +46,8 @@ _MOST_ODD = 5
 """One point in so many may be odd."""
 _MOST_FOURS = 1000
 """Fours of points, from whose maps the first one is chosen."""
+_LARGEST = 1e7
+"""Pixels or metres; no camera and no sheet has as many."""
 _ROUNDS = 10
 """Maps at most, until the points that count are those that agree."""
 
@@ -88,12 +90,13 @@ def _fitted(
     notes = [*table.findings]
     if note is not None:
         notes.append(note)
-    _, first = np.unique(points, axis=1, return_index=True)
-    repeated = points.shape[1] - len(first)
+    _, first_of_each = np.unique(points, axis=1, return_index=True)
+    first_of_each.sort()
+    repeated = points.shape[1] - len(first_of_each)
     if repeated:
         notes.append(Finding.note("points-listed-twice", count=repeated))
-    points = points[:, np.sort(first)]
-    lines = lines[np.sort(first)]
+    points = points[:, first_of_each]
+    lines = lines[first_of_each]
     odd = {} if as_given else odd_points(points[:2], points[2:])
     if odd:
         left_out = Finding.note(
@@ -110,8 +113,8 @@ def _fitted(
             ],
         )
         notes.append(left_out)
-    kept = np.delete(points, list(odd), axis=1)
-    return homography(kept[:2], kept[2:], file)._replace(notes=tuple(notes))
+    good = np.delete(points, list(odd), axis=1)
+    return homography(good[:2], good[2:], file)._replace(notes=tuple(notes))
 
 
 def _meaning(heading: str) -> Column | None:
@@ -126,7 +129,7 @@ def _require_numbers(table: Table, points: Floats) -> None:
     """Raise `DataError` for a point without all of its coordinates, shape (4, points),
     or with one that is too large."""
     bad = ~np.isfinite(points).all(axis=0)
-    bad |= (np.abs(np.nan_to_num(points)) > 1e7).any(axis=0)
+    bad |= (np.abs(np.nan_to_num(points)) > _LARGEST).any(axis=0)
     if bad.any():
         fault = "each point needs four finite numbers u, v, x, y"
         raise table.file.error(fault, table.rows[np.argmax(bad)])
@@ -154,6 +157,8 @@ def odd_points(pixels: Floats, metres: Floats) -> dict[int, float]:
         except DataError:
             return {}
         off, slopes = _residuals(plane, pixels, metres)
+        # The leverage of a point is J (J^T J)^-1 J^T, shape (2, 2), of its slopes J and
+        # those of the points in the map.
         root = np.linalg.qr(slopes[counts].reshape(-1, 8), mode="r")
         shares = slopes @ np.linalg.pinv(root)
         leverage = shares @ np.swapaxes(shares, 1, 2)
@@ -191,11 +196,12 @@ def _closest(pixels: Floats, metres: Floats) -> Booleans:
     *_, directions = np.linalg.svd(rows[fours].reshape(-1, 8, 9))
     cameras = directions[:, -1].reshape(-1, 3, 3)
     u, v, depth = np.moveaxis(cameras @ np.stack([*sheet, np.ones(n)]), 1, 0)
+    # A camera is known up to its sign: most of the points lie before it.
     front = depth * np.sign(np.median(depth, axis=1, keepdims=True))
-    seen = front > 1e-9  # not behind the camera
-    depth = np.where(seen, depth, 1.0)
+    in_front = front > 1e-9  # of the camera
+    depth = np.where(in_front, depth, 1.0)
     distance = np.hypot(u / depth - image[0], v / depth - image[1])
-    distance = np.where(seen, distance, np.inf)
+    distance = np.where(in_front, distance, np.inf)
     agreeing = n - n // _MOST_ODD
     farthest = np.sort(distance, axis=1)[:, agreeing - 1]
     best = distance[np.argmin(farthest)]
@@ -210,10 +216,10 @@ def _residuals(
     """Measured - projected points in pixels, shape (n, 2), and the derivatives of the
     projected ones by eight elements S of a map times I + S, shape (n, 2, 8)."""
     camera = np.linalg.inv(plane.matrix)
-    places = np.stack([*metres, np.ones(metres.shape[1])])
-    u, v, depth = camera @ places
+    on_sheet = np.stack([*metres, np.ones(metres.shape[1])])
+    u, v, depth = camera @ on_sheet
     projected = np.stack([u, v]) / depth
-    moved = camera[:, :, None, None] * places  # by each element of S
+    moved = camera[:, :, None, None] * on_sheet  # by each element of S
     slopes = (moved[:2] - projected[:, None, None] * moved[2]) / depth
     slopes = slopes.reshape(2, 9, -1)[:, :8]
     return (pixels - projected).T, np.moveaxis(slopes, 2, 0)

@@ -19,6 +19,8 @@ _NUMBER = re.compile(
 )
 _INCHES = re.compile(r"(?<=\d)\s*(?:[\"\u2033\u201d]|['\u2032\u2019]{2})")
 _FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
+_IN_QUOTES = re.compile(r"^([\"'])(.*)\1$")
+_IN_FRONT = re.compile(r"\bin\s+front\b", re.I)  # not in inches
 _UNIT = re.compile(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]")
 _RATE = re.compile(r"(?:[^\W\d_]+|°)(?:\s*/\s*[^\W\d_]+)?[.]?")  # km/h, °/s
 _FILLING = set(WORDS["filling"].split())
@@ -87,11 +89,12 @@ def parse_quantity(
 def _units_as_words(text: str, quantity: str) -> str:
     """A text with the marks of feet and inches as words. A last mark of inches belongs
     to the number, unless the text begins with one too."""
-    rest = text.strip()
+    words = text.strip()
     if units_of(quantity) is units_of("x"):
-        rest = re.sub(r"^([\"'])(.*)\1$", r"\2", rest).lstrip("\"'")
-        rest = _FEET.sub(" ft ", _INCHES.sub(" in ", rest))
-    return re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
+        words = _IN_QUOTES.sub(r"\2", words).lstrip("\"'")
+        words = _INCHES.sub(" in ", words)  # before feet: '' are inches
+        words = _FEET.sub(" ft ", words)
+    return _IN_FRONT.sub("front", words.strip("\"'").strip())
 
 
 def _leading_numbers(

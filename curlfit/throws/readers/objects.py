@@ -46,21 +46,7 @@ def objects_of(table: Table, file: ParsedFile, reading: Reading) -> Contents:
     def parse(index: int) -> ParsedFile:
         parsed = file.copy()
         if len(names) > 1:
-            remedies = [Remedy("selects-another", Option("stone-index", "N"))]
-            if not reading.handle:
-                remedies.append(Remedy("marks-the-handle", Option("handle", "N")))
-            listed = [
-                {"number": number, "name": name} for number, name in enumerate(names, 1)
-            ]
-            taken = Finding.note(
-                "one-of-objects",
-                *remedies,
-                count=len(names),
-                objects=listed,
-                taken=index + 1,
-                name=names[index],
-            )
-            parsed.notes.append(taken)
+            parsed.notes.append(_of_several(names, index, reading))
         elif names[0]:
             parsed.notes.append(Finding.note("object", name=names[0]))
         columns = _columns(parsed, table, table.objects[names[index]], reading)
@@ -79,37 +65,58 @@ def objects_of(table: Table, file: ParsedFile, reading: Reading) -> Contents:
     return Contents(names, parse, alone)
 
 
+def _of_several(names: Sequence[str], index: int, reading: Reading) -> Finding:
+    """The note that one of several objects is read."""
+    remedies = [Remedy("selects-another", Option("stone-index", "N"))]
+    if not reading.handle:
+        remedies.append(Remedy("marks-the-handle", Option("handle", "N")))
+    listed = [{"number": number, "name": name} for number, name in enumerate(names, 1)]
+    return Finding.note(
+        "one-of-objects",
+        *remedies,
+        count=len(names),
+        objects=listed,
+        taken=index + 1,
+        name=names[index],
+    )
+
+
 def _columns(
-    parsed: ParsedFile, table: Table, places: Sequence[int], reading: Reading
+    parsed: ParsedFile, table: Table, of_object: Sequence[int], reading: Reading
 ) -> dict[int, Column]:
-    """Columns of one object, by place; those that are ignored or left out are noted."""
-    if "t" not in quantities_of([table.headings[place] for place in places]):
-        clocks = [
-            place
-            for place, heading in enumerate(table.headings)
-            if quantities_of([heading]) == ["t"]
-        ]
-        places = [*clocks[:1], *places]  # one column of times for all
+    """Columns of one object, by place; those that are ignored or left out are noted.
+
+    Parameters
+    ----------
+    of_object : places of its columns.
+    """
+    quantities = quantities_of([table.headings[place] for place in of_object])
+    candidates = list(of_object)
+    if "t" not in quantities:
+        for place, heading in enumerate(table.headings):
+            if quantities_of([heading]) == ["t"]:
+                candidates.insert(0, place)  # one column of times for all
+                break
     headings_of_user = {**parsed.settings.get("columns", {}), **reading.columns}
-    chosen = {heading.strip().lower() for heading in headings_of_user.values()}
-    computed = [
-        place
-        for place in places
-        if place in table.computed and table.headings[place].lower() not in chosen
-    ]
-    if not {"x", "y"} <= set(quantities_of([table.headings[k] for k in places])):
-        computed = []  # v is that of pixels u, v
+    wanted = {heading.strip().lower() for heading in headings_of_user.values()}
+    computed: list[int] = []
+    if {"x", "y"} <= set(quantities):  # else v is that of pixels u, v
+        computed = [
+            place
+            for place in candidates
+            if place in table.computed and table.headings[place].lower() not in wanted
+        ]
     if computed:
         left_out = [table.headings[place] for place in computed]
         parsed.notes.append(Finding.note("computed-by-tracker", columns=left_out))
-    places = [place for place in places if place not in computed]
+        candidates = [place for place in candidates if place not in computed]
     headings = Headings(
-        [table.headings[place] for place in places],
+        [table.headings[place] for place in candidates],
         table.error,
-        lambda index: table.is_numeric(places[index]),
+        lambda index: table.is_numeric(candidates[index]),
     )
     columns = headings.of_throw(parsed, reading)
-    return {places[index]: column for index, column in columns.items()}
+    return {candidates[index]: column for index, column in columns.items()}
 
 
 def _handle(
@@ -160,18 +167,20 @@ def _rotation(
     axis_of = {
         column.quantity: table.headings[place] for place, column in columns.items()
     }
-    ice = [axis_of.get("x", ""), axis_of.get("y", "")]
-    (*_, vertical) = [axis for axis in "XYZ" if axis not in ice]
-    if "phi" in axis_of or len({*ice, vertical} & set("XYZ")) < 3:
+    on_ice = [axis_of.get("x", ""), axis_of.get("y", "")]
+    others = set("XYZ") - set(on_ice)
+    if "phi" in axis_of or len(others) != 1:
         return {}
-    places = [parts["W"], parts[vertical]]
-    if "".join(ice) not in "XYZX":
+    vertical = others.pop()
+    scalar_part = parts["W"]
+    vertical_part = parts[vertical]
+    if "".join(on_ice) not in ("XY", "YZ", "ZX"):
         # Seen from the other side the angle has the other sign. The angle is twice
         # atan2(vertical, scalar), and that of exchanged parts a constant minus it.
-        places.reverse()
+        scalar_part, vertical_part = vertical_part, scalar_part
     return {
-        places[0]: Column("quaternion_scalar", "", 1.0),
-        places[1]: Column("quaternion_vertical", "", 1.0),
+        scalar_part: Column("quaternion_scalar", "", 1.0),
+        vertical_part: Column("quaternion_vertical", "", 1.0),
     }
 
 

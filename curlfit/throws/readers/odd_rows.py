@@ -93,8 +93,10 @@ def odd_values(
                 design = np.column_stack([terms[:, :1], partner, terms[:, 1:]])
                 least = 0.0
             for value in _beyond(name, values, design, floors[name], usable, level):
-                before = odd.get(value.row)
-                if abs(value.off) > least and (before is None or value.p < before.p):
+                if abs(value.off) <= least:
+                    continue
+                other_of_row = odd.get(value.row)
+                if other_of_row is None or value.p < other_of_row.p:
                     odd[value.row] = value
         usable[list(odd)] = False
     return [odd[row] for row in sorted(odd)]
@@ -125,19 +127,26 @@ def _beyond(
     usable: Booleans,
     level: float,
 ) -> list[OddValue]:
-    """The values of a column that are farther from the others than chance allows."""
+    """The values of a column that are farther from the others than chance allows.
+
+    Parameters
+    ----------
+    design : terms of the regression, the most common first, shape (rows, terms).
+    floor : scatter that is expected at least.
+    usable : rows that may count. level : probability below which a value is odd.
+    """
     from scipy.special import stdtr  # slow to load
 
-    places = np.flatnonzero(
+    complete = np.flatnonzero(
         usable & np.isfinite(values) & np.isfinite(design).all(axis=1)
     )
-    terms = min(design.shape[1], max(len(places) // _ROWS_PER_TERM, 1))
-    rows = design[places, :terms]
-    measured = values[places]
+    terms = min(design.shape[1], max(len(complete) // _ROWS_PER_TERM, 1))
+    rows = design[complete, :terms]
+    measured = values[complete]
     left = measured - rows @ _least_absolute(rows, measured, floor)
     scatter = max(1.4826 * float(np.median(np.abs(left))), floor)  # of normal values
     counts = np.abs(left) <= _FIRST_GUESS * scatter
-    p = np.ones(len(places))
+    p = np.ones(len(complete))
     for _ in range(_ROUNDS):
         freedom = int(counts.sum()) - terms
         if freedom < _FEWEST:
@@ -159,7 +168,7 @@ def _beyond(
     # what a value is off by is from a fit without it
     off = np.where(counts, left / inside, left)
     return [
-        OddValue(int(places[k]), name, float(measured[k]), float(off[k]), float(p[k]))
+        OddValue(int(complete[k]), name, float(measured[k]), float(off[k]), float(p[k]))
         for k in np.flatnonzero(p < level)
     ]
 

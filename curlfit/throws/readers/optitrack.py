@@ -28,35 +28,39 @@ _MOST_ABOVE_HEADER = 8
 
 def _recognizes(head: list[str]) -> bool:
     """Whether a file begins with the names and values of a take."""
-    return _cells(head[0])[:1] == ["Format Version"] and "Take Name" in head[0]
+    return headings_in(head[0])[:1] == ["Format Version"] and "Take Name" in head[0]
 
 
 def _table(file: TextFile) -> Table:
     """The table with each rigid body and each marker as an object."""
     first = file.head()
     above = lines_of_data(file, first, _MOST_ABOVE_HEADER)
-    header = next((k for k in above if _cells(file.lines[k])[0] == "Frame"), None)
+    header = next((k for k in above if headings_in(file.lines[k])[0] == "Frame"), None)
     if header is None or above.index(header) < 4:
         raise file.error(
             "expected lines of types, names and kinds of columns, and then a header "
             "Frame, Time (Seconds), X, Y, Z",
             first,
         )
-    types = _cells(file.lines[above[1]])
-    names = _cells(file.lines[above[2]])
-    kinds = _cells(file.lines[above[above.index(header) - 1]])
+    types = headings_in(file.lines[above[1]])
+    names = headings_in(file.lines[above[2]])
+    kinds = headings_in(file.lines[above[above.index(header) - 1]])
     table = Table.at(file, header)
     # the mean error of a rigid body may have no heading
     headings = table.headings + [""] * (len(types) - len(table.headings))
-    positions = []
+    names_of_columns = []
     rotations: dict[str, dict[str, int]] = {}
     for place, (type, name, kind, heading) in enumerate(
         zip(types, names, kinds, headings, strict=False)
     ):
         owner = f"{name} ({type.lower()})"
-        positions.append(owner if kind == "Position" else "")
+        names_of_columns.append(owner if kind == "Position" else "")
         if kind == "Rotation":
             rotations.setdefault(owner, {})[heading] = place
+    objects = {
+        owner: [0, 1, *columns]  # with the frame and the time
+        for owner, columns in places_by_name(names_of_columns).items()
+    }
     quaternions = {
         owner: parts
         for owner, parts in rotations.items()
@@ -67,34 +71,28 @@ def _table(file: TextFile) -> Table:
         Remedy("z-points-up", Option("columns", '"x=X, y=Y"')),
         program="Motive",
     )
-    unused = [] if quaternions or not rotations else [Finding.note("rotation-not-used")]
+    notes = [axes]
+    if rotations and not quaternions:
+        notes.append(Finding.note("rotation-not-used"))
     return replace(
         table,
         headings=headings,
-        objects={
-            owner: [0, 1, *places]  # with the frame and the time
-            for owner, places in places_by_name(positions).items()
-        },
+        objects=objects,
         columns={"x": "Z", "y": "X"},
         units=_units(file, first),
         quaternions=quaternions,
-        noted=[axes, *unused],
+        noted=notes,
     )
 
 
 def _units(file: TextFile, first: int) -> str:
     """The unit of lengths that the first line states, in m where it states none."""
-    values = _cells(file.lines[first])
+    values = headings_in(file.lines[first])
     pairs = dict(zip(values[::2], values[1::2], strict=False))
     unit = pairs.get("Length Units", "Meters")
     if unit.lower() not in units_of("x"):
         raise file.error(f"Length Units {quoted(unit)}: unknown unit", first)
     return f"length={unit}"
-
-
-def _cells(line: str) -> list[str]:
-    """The cells of a line of the header."""
-    return headings_in(line)
 
 
 OPTITRACK = layout("optitrack", _recognizes, _table)

@@ -68,13 +68,13 @@ def _timed(table: Table, reading: Reading, named: Mapping[str, str]) -> Table:
 
 
 TABLE = Format(
-    "table",
-    lambda _: True,
-    _contents,
-    "throw",
-    "stone_index",
-    None,
-    ("stone_index", "columns"),
+    name="table",
+    recognizes=lambda _: True,
+    contents=_contents,
+    what="throw",
+    selected_by="stone_index",
+    usual=None,
+    selections=("stone_index", "columns"),
     jointly=True,
 )
 
@@ -104,13 +104,13 @@ def layout(
     if throws_in_rows:
         return TABLE._replace(name=name, recognizes=recognizes, contents=contents)
     return Format(
-        name,
-        recognizes,
-        contents,
-        "object",
-        "stone_index",
-        0,
-        ("stone_index", "handle", "columns"),
+        name=name,
+        recognizes=recognizes,
+        contents=contents,
+        what="object",
+        selected_by="stone_index",
+        usual=0,
+        selections=("stone_index", "handle", "columns"),
     )
 
 
@@ -125,10 +125,11 @@ def contents_of(table: Table, parsed: ParsedFile, reading: Reading) -> Contents:
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
-    of_file = {**table.columns, **parsed.settings.get("columns", {})}
-    if of_file or table.units:
+    # What the user says overrides the file, and this what its program says elsewhere.
+    columns_of_file = {**table.columns, **parsed.settings.get("columns", {})}
+    if columns_of_file or table.units:
         units = ",".join(filter(None, [table.units, reading.units])) or None
-        columns_named = {**of_file, **reading.columns}
+        columns_named = {**columns_of_file, **reading.columns}
         reading = replace(reading, units=units, columns=columns_named)
     table = _timed(table, reading, {})
     if table.has_frames:

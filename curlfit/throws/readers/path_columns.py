@@ -26,7 +26,7 @@ def read_columns(
     """
     order = parse_units(reading.units).get("date")
     day_first = None if order is None else order == "day-first"
-    seconds = {}
+    seconds = {}  # of the columns of clock times
     for place, column in columns.items():
         if column.base != "t":
             continue
@@ -39,8 +39,9 @@ def read_columns(
         parsed.notes.append(
             Finding.note(code, column=table.headings[place], since=clock.first)
         )
-    places = [place for place in columns if place not in seconds]
-    values = seconds | dict(zip(places, table.numbers(places), strict=True))
+    with_numbers = [place for place in columns if place not in seconds]
+    numbers = table.numbers(with_numbers)
+    values = seconds | dict(zip(with_numbers, numbers, strict=True))
     if not (reading.as_given or parsed.settings.get("as_given")):
         values |= _likely(parsed, table, values)
     parsed.notes += table.findings
@@ -59,10 +60,10 @@ def _likely(
         if place in table.likelihoods:
             places_of.setdefault(table.likelihoods[place], []).append(place)
     likely = {}
-    for likelihood, places in places_of.items():
+    for likelihood, measured in places_of.items():
         (likelihoods,) = table.numbers([likelihood.place])
         unlikely = likelihoods < likelihood.least
-        for place in places:
+        for place in measured:
             likely[place] = np.where(unlikely, np.nan, values[place])
         if unlikely.any():
             count = int(unlikely.sum())

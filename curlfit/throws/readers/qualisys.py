@@ -46,13 +46,14 @@ def _table(file: TextFile) -> Table:
             "export with times and headings of columns",
             first,
         )
-    coordinates = list(map(_COORDINATE.fullmatch, table.headings))
-    markers = [match["marker"] if match else "" for match in coordinates]
-    headings = [
-        match["axis"] if match else heading
-        for match, heading in zip(coordinates, table.headings, strict=True)
-    ]
-    clock = markers.index(next(filter(None, markers), ""))
+    markers = []
+    headings = []
+    for heading in table.headings:
+        coordinate = _COORDINATE.fullmatch(heading)
+        markers.append(coordinate["marker"] if coordinate else "")
+        headings.append(coordinate["axis"] if coordinate else heading)
+    # The frame and the time stand before the first marker.
+    first_marker = next((place for place, name in enumerate(markers) if name), 0)
     units = "length=mm"
     if "Time" not in headings and frames:
         units += f",t={frames}"
@@ -66,8 +67,8 @@ def _table(file: TextFile) -> Table:
         table,
         headings=headings,
         objects={
-            name: [*range(clock), *places]
-            for name, places in places_by_name(markers).items()
+            name: [*range(first_marker), *columns]
+            for name, columns in places_by_name(markers).items()
         },
         units=units,
         noted=[in_mm],

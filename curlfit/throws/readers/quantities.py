@@ -76,11 +76,11 @@ def read_quantities(
         column = meaning(word)
         return None if column is None else column.quantity
 
-    columns = list(map(meaning, table.headings))
-    chosen = named_columns(
+    columns = [meaning(heading) for heading in table.headings]
+    of_user = named_columns(
         named, table.headings, table.error, quantity_of, ", ".join(required)
     )
-    for place, quantity in chosen.items():
+    for place, quantity in of_user.items():
         columns = [
             None if column and column.quantity == quantity else column
             for column in columns

@@ -103,25 +103,22 @@ def usual_sigma(key: str) -> float:
     return _SIGMAS["time" if key in TIMES else key]
 
 
-_TOLD_BY = {
-    "curl": (
-        ("handle", "turns", "spin"),
-        "to which side? Expected curl = 4 ft left, or curl = 4 ft right, "
-        "or a line handle = clockwise, handle = counter-clockwise, "
-        "or handle = in-turn right-handed",
-    ),
-    "turns": (
-        ("handle", "turns", "spin", "curl"),
-        "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise",
-    ),
-    "spin": (
-        ("handle", "spin", "turns", "curl"),
-        "in which sense? Expected spin = 1.4 rad/s clockwise or 1.4 rad/s "
-        "counter-clockwise",
-    ),
+_SENSE_BY = {
+    "curl": ("handle", "turns", "spin"),
+    "turns": ("handle", "turns", "spin", "curl"),
+    "spin": ("handle", "spin", "turns", "curl"),
 }
-"""What says to which side a stone curls or in which sense it turns; what is expected if
-nothing does."""
+"""Quantities that say to which side a stone curls or in which sense it turns: of those
+that were measured the first."""
+_WITHOUT_SENSE = {
+    "curl": "to which side? Expected curl = 4 ft left, or curl = 4 ft right, "
+    "or a line handle = clockwise, handle = counter-clockwise, "
+    "or handle = in-turn right-handed",
+    "turns": "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise",
+    "spin": "in which sense? Expected spin = 1.4 rad/s clockwise or 1.4 rad/s "
+    "counter-clockwise",
+}
+"""What is expected where none of these says it."""
 
 
 class Entry(NamedTuple):
@@ -238,14 +235,13 @@ class Record:
         value = self._value(key)
         if key == "rest":
             return LINES["far-tee"] + value
-        if key not in _TOLD_BY:
+        if key not in _SENSE_BY:
             return value
         if key == "curl" and (self._has_side(key) or not value):
             return value
-        told_by, expected = _TOLD_BY[key]
-        sense = self._sense(*told_by)
+        sense = self._sense(*_SENSE_BY[key])
         if not sense and value:
-            raise self._error(key, expected)
+            raise self._error(key, _WITHOUT_SENSE[key])
         if key == "curl":
             return -sense * abs(value)
         return sense * abs(value)
@@ -266,13 +262,11 @@ class Record:
         hand = words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
-        has_side = [
-            self._has_side(key)
-            for key in ("curl", "turns", "spin")
-            if key in self.measured
-        ]
-        if len(turn) == 1 and not hand and (any(has_side) or not has_side):
-            return 0  # a label: the sense is given otherwise, or nothing needs it
+        if len(turn) == 1 and not hand:
+            # A label, where the sense is given otherwise or nothing needs it.
+            needs_sense = {"curl", "turns", "spin"} & self.measured.keys()
+            if not needs_sense or any(map(self._has_side, needs_sense)):
+                return 0
         raise self._error(
             "handle",
             f"{quoted(self.row.entries['handle'].text)} found; expected clockwise or "
@@ -289,11 +283,13 @@ class Record:
                 sense = self._handle()
             elif self._has_side(key):
                 value = self._value(key)
+                if key == "curl":
+                    value = -value  # to the left
                 sense = (value > 0) - (value < 0)
             else:
                 continue
             if sense:
-                return -sense if key == "curl" else sense
+                return sense
         return 0
 
     def spin(self) -> tuple[float, list[Finding]]:
@@ -328,16 +324,15 @@ class Record:
         if not times:
             return f"no time; {EXPECTED}"
         if len(times) == 1 and "rest" not in self.measured:
-            keys = [
+            lacking = [
                 key
                 for key in ("hog_to_hog", "rest", "hog_to_rest")
                 if key not in self.measured
             ]
-            more = ", ".join([*keys[:2], "or another time"])
-            what = "the mean speed" if times[0] in TIMES else "speed"
+            speed = "the mean speed" if times[0] in TIMES else "speed"
             return (
-                f"{times[0]} alone gives {what} and no friction; expected one more of "
-                f"{more}"
+                f"{times[0]} alone gives {speed} and no friction; expected one more of "
+                f"{lacking[0]}, {lacking[1]}, or another time"
             )
         if {"hog_to_hog", "hog_to_tee"} <= self.measured.keys():
             to_hog = self.measured["hog_to_hog"].value
@@ -348,12 +343,11 @@ class Record:
                     f"{to_tee:g} s found, expected more than hog_to_hog = {to_hog:g} "
                     "s: the tee line lies behind the far hog line",
                 )
-        crossed = [
-            (LINES[line], key)
-            for key in times
-            for line in (KINDS[key].at, KINDS[key].since)
-            if line
-        ]
+        crossed = []
+        for key in times:
+            for line in (KINDS[key].at, KINDS[key].since):
+                if line is not None:
+                    crossed.append((LINES[line], key))
         farthest, by = max(crossed)
         past = farthest - LINES["far-tee"]
         if "rest" in self.measured and self._value("rest") <= past:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import zlib
+from collections.abc import Sequence
 from datetime import date, datetime, time, timedelta
 from functools import lru_cache
 from io import BytesIO, StringIO
@@ -76,22 +77,11 @@ def text_of_sheet(
         if extent.cells > MOST_CELLS:  # of an .xls, which is no archive
             raise too_many_cells(extent, path)
         cells = sheet.to_python(skip_empty_area=False)
-        rows = [list(map(_plain, row)) for row in cells]
     except (CalamineError, *_ARCHIVE_FAULTS):
         raise DataError(fault, file=path) from None
-    clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
-    exact = any(clock.second or clock.microsecond for clock in clocks)
-    lines = StringIO()
-    write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
-    clock_format = "%H:%M:%S.%f" if exact else "%H:%M"
-    for row in rows:
-        texts = [_shown(cell, clock_format) for cell in row]
-        if texts[0].startswith("#") or not any(texts):
-            lines.write(" ".join(filter(None, texts)) + "\n")
-        else:
-            write(texts)
+    text = _separated_by_semicolons(cells)
     if len(names) == 1:
-        return lines.getvalue(), None
+        return text, None
     several = Finding.note(
         "one-of-worksheets",
         Remedy("selects-another", Option("worksheet", "NAME")),
@@ -99,7 +89,24 @@ def text_of_sheet(
         worksheets=[_without_backticks(name) for name in names],
         taken=_without_backticks(chosen),
     )
-    return lines.getvalue(), several
+    return text, several
+
+
+def _separated_by_semicolons(cells: Sequence[Sequence[Any]]) -> str:
+    """The rows of a worksheet as lines of text; comments are lines as they are."""
+    rows = [[_plain(cell) for cell in row] for row in cells]
+    clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
+    exact = any(clock.second or clock.microsecond for clock in clocks)
+    clock_format = "%H:%M:%S.%f" if exact else "%H:%M"
+    lines = StringIO()
+    write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
+    for row in rows:
+        texts = [_shown(cell, clock_format) for cell in row]
+        if texts[0].startswith("#") or not any(texts):
+            lines.write(" ".join(filter(None, texts)) + "\n")
+        else:
+            write(texts)
+    return lines.getvalue()
 
 
 def _without_backticks(name: str) -> str:

@@ -85,15 +85,15 @@ def is_header(headings: Sequence[str]) -> bool:
     quantities, or a time and others that are named otherwise."""
     if 2 * sum(map(is_number, headings)) >= len(headings):
         return False
-    known = {Heading.of(heading).quantity for heading in headings} - {""}
-    if len(known) == 1 and known <= TIMES.keys():
+    quantities = {Heading.of(heading).quantity for heading in headings} - {""}
+    if len(quantities) == 1 and quantities <= TIMES.keys():
         line_of_a_record = any("=" in text or text[:1].isdigit() for text in headings)
         return (
             len(headings) > 1
             and not line_of_a_record
             and not any(map(is_number, headings))
         )
-    return len(known) > 1
+    return len(quantities) > 1
 
 
 def meant(quantity: str, cell: str) -> str:
@@ -119,57 +119,57 @@ def throws_of_table(
         no rows or too many.
     """
     headings = [heading.in_unit(units) for heading in _headings(table, named)]
-    places = table.sole([heading.quantity for heading in headings])
+    place_of = table.sole([heading.quantity for heading in headings])
     if len(table.rows) > _MOST_ROWS:
         raise table.file.error(f"more than {_MOST_ROWS} throws", table.rows[_MOST_ROWS])
     labels, notes = _labels(table, headings)
-    table.note_gaps(list(places.values()))
+    table.note_gaps(list(place_of.values()))
     notes += table.findings
     rows = []
     for index, cells in zip(table.rows, table.cells, strict=True):
         line = index + 1
-        entries = {
-            meant(quantity, cells[place]): Entry(
-                line, cells[place], headings[place].unit
-            )
-            for quantity, place in places.items()
-            if not is_gap(cells[place])
-        }
-        of_row = {
+        entries = {}
+        for quantity, place in place_of.items():
+            cell = cells[place]
+            if not is_gap(cell):
+                unit = headings[place].unit
+                entries[meant(quantity, cell)] = Entry(line, cell, unit)
+        labels_of_row = {
             label: cells[place]
             for place, label in labels.items()
             if cells[place].lower() not in GAPS
         }
-        rows.append(Row(line, entries, of_row, notes))
+        rows.append(Row(line, entries, labels_of_row, notes))
     return rows
 
 
 def _headings(table: Table, named: Mapping[str, str]) -> list[Heading]:
     """The meaning of each column: as the user names it, by its heading, or by words
     that are less certain where its cells are measurements."""
-    headings = list(map(Heading.of, table.headings))
-    chosen = named_columns(
+    headings = [Heading.of(text) for text in table.headings]
+    of_user = named_columns(
         named,
         table.headings,
         table.error,
         lambda key: Heading.of(key).quantity,
         ", ".join(KINDS),
     )
-    for place, quantity in chosen.items():
+    for place, quantity in of_user.items():
         unit = unit_in(table.headings[place], KINDS[quantity].unit)
         headings = [
             Heading("") if heading.quantity == quantity else heading
             for heading in headings
         ]
         headings[place] = Heading(quantity, unit)
-    known = {heading.quantity for heading in headings}
+    quantities = {heading.quantity for heading in headings}
     for place, text in enumerate(table.headings):
         quantity = _MAY_MEAN.get(_name(text), "")
-        if headings[place].quantity or quantity in known | {""}:
+        if headings[place].quantity or not quantity or quantity in quantities:
             continue
-        if 2 * sum(map(_is_measurement, table.column(place))) > len(table.rows):
+        measurements = sum(map(_is_measurement, table.column(place)))
+        if 2 * measurements > len(table.rows):
             headings[place] = Heading(quantity)
-            known.add(quantity)
+            quantities.add(quantity)
     return headings
 
 
@@ -192,11 +192,12 @@ def _labels(
         if _name(name) in _NOT_FITTED:
             not_fitted.append(name)
             continue
-        like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
-        measured = sum(map(_is_measurement, cells))
-        if label not in LABELS and (like or 2 * measured > len(cells)):
+        sounds_measured = not _LIKE_MEASUREMENTS.isdisjoint(_SPLIT.split(name.lower()))
+        measurements = sum(map(_is_measurement, cells))
+        looks_measured = 2 * measurements > len(cells)
+        if label not in LABELS and (sounds_measured or looks_measured):
             strange.append(name)
-        words = sum(not is_number(cell or "0") for cell in cells)
+        words = sum(not is_number(cell) for cell in cells if cell)
         if label in LABELS or 2 * words > len(cells):
             labels[place] = label
         else:

@@ -40,7 +40,6 @@ from curlfit.throws.readers.cells import (
 from curlfit.throws.readers.clocks import AmbiguousTimesError, ClockTimes, clock_times
 from curlfit.throws.readers.columns import is_unit
 from curlfit.throws.readers.numbers import (
-    Thousands,
     is_grouped,
     is_number,
     numbers_in,
@@ -153,8 +152,10 @@ class Table:
         if not all(map(is_number, table.headings)):
             return table
         comments = [index for index, _ in file.comments(first)]
-        if comments and knows(commented := cls.at(file, comments[-1])):
-            return commented
+        if comments:
+            table_below_comment = cls.at(file, comments[-1])
+            if knows(table_below_comment):
+                return table_below_comment
         raise table.error(f"the table begins with numbers; {expected}")
 
     def error(self, message: str, options: tuple[Option, ...] = ()) -> DataError:
@@ -191,7 +192,7 @@ class Table:
     def findings(self) -> list[Finding]:
         """What was read otherwise than it is written, in the header, in the rows and in
         the columns that were read."""
-        _ = self.rows
+        _ = self.rows  # as they are read, what is left out is noted
         return self.noted
 
     @cached_property
@@ -213,11 +214,10 @@ class Table:
         lines = lines_of_data(self.file, self.header + 1)
         below = self._aggregates_below(lines)
         if below:
-            names = [_first_cell(self._cells_of(index)) for index in below]
             left_out = Finding.note(
                 "rows-below-the-table",
                 count=len(below),
-                names=[quoted(name) for name in names],
+                names=[quoted(_first_cell(self._cells_of(index))) for index in below],
                 lines=[index + 1 for index in below],
             )
             self.noted.append(left_out)
@@ -310,32 +310,22 @@ class Table:
             "." in cell for column in columns for cell in column
         )
         values = [numbers_in(column, decimal_comma=decimal_comma) for column in columns]
-        thousands = self._thousands(columns, values, decimal_comma=decimal_comma)
-        if thousands is not None:
-            values = [numbers_in(column, thousands.mark) for column in columns]
-            noted = Finding.note(
-                "thousands",
-                mark=quoted(thousands.mark),
-                cell=quoted(thousands.example),
-                number=without_groups(thousands.example, thousands.mark),
-            )
-            self.noted.append(noted)
-        for place, column in zip(places, values, strict=True):
-            if None in column:
-                row = column.index(None)
-                raise self.not_a("finite number", row, place)
+        values = self._without_thousands(columns, values, decimal_comma=decimal_comma)
+        for place, numbers in zip(places, values, strict=True):
+            if None in numbers:
+                raise self.not_a("finite number", numbers.index(None), place)
         self.note_gaps(places)
-        return [np.array(column, float) for column in values]
+        return [np.array(numbers, float) for numbers in values]
 
-    def _thousands(
+    def _without_thousands(
         self,
         columns: Sequence[Sequence[str]],
-        values: Sequence[Sequence[float | None]],
+        values: list[list[float | None]],
         *,
         decimal_comma: bool,
-    ) -> Thousands | None:
-        """The mark between the thousands of numbers, with which all cells are numbers;
-        None where there is none.
+    ) -> list[list[float | None]]:
+        """The numbers of columns with a mark between thousands, if there is one with
+        which all cells are numbers; the values as they are, if there is none.
 
         Parameters
         ----------
@@ -343,12 +333,22 @@ class Table:
         """
         whole = map(thousands_of_whole_numbers, columns)
         thousands = next(filter(None, whole), None)
-        if thousands is None and any(None in column for column in values):
+        if thousands is None and any(None in numbers for numbers in values):
             thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
         if thousands is None:
-            return None
-        without_marks = [numbers_in(column, thousands.mark) for column in columns]
-        return None if any(None in column for column in without_marks) else thousands
+            return values
+        mark = thousands.mark
+        without_marks = [numbers_in(column, mark) for column in columns]
+        if any(None in numbers for numbers in without_marks):
+            return values
+        note = Finding.note(
+            "thousands",
+            mark=quoted(mark),
+            cell=quoted(thousands.example),
+            number=without_groups(thousands.example, mark),
+        )
+        self.noted.append(note)
+        return without_marks
 
     def not_a(self, expected: str, row: int, place: int) -> DataError:
         """The error of a cell that is not what was expected."""
@@ -395,9 +395,11 @@ class Table:
                 self.headings[place],
                 options=error.options,
             ) from None
-        if times.first and times.bad:
+        if not times.first:
+            return None
+        if times.bad:
             raise self.not_a("clock time as in other rows", times.bad[0], place)
-        return times if times.first else None
+        return times
 
     @cached_property
     def _plain(self) -> Floats | None:
@@ -491,6 +493,10 @@ class Table:
     def _aggregates_below(self, rows: Sequence[int]) -> list[int]:
         """The rows at the end that are no data: of means, sums and such by their names
         in the first cell, and of formulas."""
+        if not rows:
+            return []
+        # In a table whose rows have names of people, Max is one of them.
+        numbered = is_number(_first_cell(self._cells_of(rows[0])))
         below: list[int] = []
         certain = False
         for index in reversed(rows[-_MOST_BELOW:]):
@@ -498,9 +504,7 @@ class Table:
             name = _first_cell(row).lower().strip(" :.")
             if name in _AGGREGATES or any(cell[:1] == "=" for cell in row):
                 certain = True
-            elif name not in _MAY_BE_NAMES or not is_number(
-                _first_cell(self._cells_of(rows[0]))
-            ):
+            elif name not in _MAY_BE_NAMES or not numbered:
                 break
             below.insert(0, index)
         return below if certain else []

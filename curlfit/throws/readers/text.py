@@ -35,9 +35,9 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
     source = 0 if str(path) == STANDARD_INPUT else path
     try:
         status = os.stat(source)
-        place = status.st_dev, status.st_ino
-        if place in _of_pipes:
-            return _of_pipes[place]
+        inode = (status.st_dev, status.st_ino)
+        if inode in _of_pipes:
+            return _of_pipes[inode]
         with open(source, "rb", closefd=source != 0) as stream:
             raw = stream.read(most + 1)
     except ValueError:
@@ -52,7 +52,7 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
     if len(raw) > most:
         raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
     if source == 0 or stat.S_ISFIFO(status.st_mode):
-        _of_pipes[place] = raw
+        _of_pipes[inode] = raw
     return raw
 
 
@@ -64,7 +64,9 @@ def decoded(raw: bytes) -> str:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
         marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
-        text = raw.decode(encoding if marked else _old_encoding(raw), errors="replace")
+        if not marked:
+            encoding = _old_encoding(raw)
+        text = raw.decode(encoding, errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -124,20 +126,27 @@ class TextFile(NamedTuple):
             raise file.error(f"this is not a text file; {EXPECTED}")
         if len(file.lines) > _MOST_LINES + 1:
             raise file.error(f"more than {_MOST_LINES} lines; expected throws")
-        if max(map(len, file.lines)) <= _MOST_IN_HEAD:
-            return file
+        file._require_short_lines(settings)
+        return file
+
+    def _require_short_lines(self, settings: bool) -> None:
+        """Raise `DataError` for a line that is longer than any throw needs; one of JSON
+        may have any length."""
+        if max(map(len, self.lines)) <= _MOST_IN_HEAD:
+            return
         header = next(
-            (k for k, line in enumerate(file.lines) if not is_aside(line)), -1
+            (k for k, line in enumerate(self.lines) if not is_aside(line)), -1
         )
-        json = not settings and file.lines[header].lstrip()[:1] in ("{", "[")
-        for index, line in enumerate(file.lines):
+        json = not settings and self.lines[header].lstrip()[:1] in ("{", "[")
+        for index, line in enumerate(self.lines):
             comment = is_aside(line)
+            if json and not comment:
+                continue
             short = settings or comment or index == header
             most = _MOST_IN_HEAD if short else _MOST_IN_ROW
-            if len(line) > most and (comment or not json):
+            if len(line) > most:
                 fault = f"a line of {len(line)} characters; expected at most {most}"
-                raise file.error(fault, index)
-        return file
+                raise self.error(fault, index)
 
     def error(
         self,

@@ -40,7 +40,7 @@ def throws_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Content
     words : cells, by header, of the columns that are not data of a throw.
     """
     header, groups = _by_column(words, len(parsed.series[0].values))
-    if header:
+    if groups:
         parsed = replace(
             parsed, ignored=[name for name in parsed.ignored if name != header]
         )
@@ -84,10 +84,10 @@ def _contents(parsed: ParsedFile, groups: Mapping[str, np.ndarray]) -> Contents:
     def parse(index: int) -> ParsedFile:
         name, rows = throws[index]
         selected = parsed.rows(rows)
-        taken = Finding.note(
+        one_of_several = Finding.note(
             "one-of-throws", count=len(throws), taken=index + 1, name=name
         )
-        selected.notes.append(taken)
+        selected.notes.append(one_of_several)
         return selected
 
     return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
@@ -129,8 +129,8 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     if min(map(len, pieces)) < _FEWEST:
         return {}
     if len(again):
-        # Each begins within the first fifth of the previous one, unlike rows merely
-        # out of order.
+        # Each begins within the first fifth of the previous one, unlike rows that are
+        # merely out of order.
         for earlier, later in pairwise(pieces):
             began = times[earlier[0]]
             ended = times[earlier[-1]]
@@ -145,25 +145,31 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
 def _one_time_is_odd(times: np.ndarray, again: int) -> bool:
     """Whether times that go back once grow again where the row before, or the row
     itself, is left out."""
-    without = [np.delete(times, row) for row in (again - 1, again)]
-    return any((np.diff(others) > 0).all() for others in without)
+    without_row_before = np.delete(times, again - 1)
+    without_row = np.delete(times, again)
+    return bool(
+        (np.diff(without_row_before) > 0).all() or (np.diff(without_row) > 0).all()
+    )
 
 
 def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
     """Rows in which the stone is back at the start: from the one before it has gone
     back by more than half the length of the path; none if it is ever as far ahead."""
-    x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
+    x = series.get("x", series.get("u"))
+    y = series.get("y", series.get("v"))
     none = np.array([], int)
     if x is None or y is None:
         return none
     rows = np.flatnonzero(np.isfinite(x + y))
     if not len(rows):
         return none
-    places = np.stack([x[rows], y[rows]])
-    step = np.diff(places)
-    last = np.flatnonzero(np.hypot(*step) > 0.5 * np.hypot(*np.ptp(places, axis=1)))
+    positions = np.stack([x[rows], y[rows]])
+    step = np.diff(positions)
+    length = np.hypot(*np.ptp(positions, axis=1))
+    last = np.flatnonzero(np.hypot(*step) > 0.5 * length)  # before each such step
     if not len(last):
         return none
-    first = np.append(0, last + 1)[:-1]
-    back = ((places[:, last] - places[:, first]) * step[:, last]).sum(0) < 0
+    first = np.append(0, last + 1)[:-1]  # of the rows since the step before
+    way = positions[:, last] - positions[:, first]
+    back = (way * step[:, last]).sum(0) < 0
     return rows[last + 1] if back.all() else none

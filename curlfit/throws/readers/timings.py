@@ -52,6 +52,7 @@ _LINE = re.compile(
 )
 _LETTER = re.compile(r"[^\W\d_]")
 _MANY = 4  # throws of a table, from which on it is an evening
+_MOST_ODD = 5  # one row in so many may be left out as odd; of more, none is
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -67,36 +68,31 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     of_file.settings.pop("columns", None)
     rows = _throws_in(file, reading)
     of_file.settings.setdefault("law", _usual_law(rows))
+    labels = [f"line {row.line}" for row in rows]
     if len(rows) == 1:
-        return Contents(
-            [f"line {rows[0].line}"],
-            lambda _: _read_row(file, rows[0], of_file.copy(), keep),
-        )
+        return Contents(labels, lambda _: _read_row(file, rows[0], of_file, keep))
     odd_rows = _odd_rows(file, rows, keep)
-    odd_row_at = {odd.row - 1: odd for odd in odd_rows}
+    finding_at = {odd.row - 1: odd.finding for odd in odd_rows}
     without_time = [index for index, row in enumerate(rows) if not _has_time(row)]
-    notes = []
-    if without_time:
-        lines = [rows[index].line for index in without_time]
-        notes.append(Finding.note("rows-without-a-time", lines=lines))
 
     def parse(index: int) -> ParsedFile:
-        parsed = of_file.copy()
+        parsed = _read_row(file, rows[index], of_file, keep, of_table=True)
         parsed.source = f"{file.path} row {index + 1}"
         parsed.odd_rows = odd_rows
-        parsed = _read_row(file, rows[index], parsed, keep, of_table=True)
-        parsed.notes += notes
-        if index in odd_row_at:
-            parsed.notes.append(odd_row_at[index].finding)
+        if without_time:
+            lines = [rows[index].line for index in without_time]
+            parsed.notes.append(Finding.note("rows-without-a-time", lines=lines))
+        if index in finding_at:
+            parsed.notes.append(finding_at[index])
         return parsed
 
     left_out = {odd.row - 1 for odd in odd_rows if odd.left_out}
     return Contents(
-        [f"line {row.line}" for row in rows],
+        labels,
         parse,
         left_out=left_out.union(without_time),
         odd_rows=odd_rows,
-        note=_of_taken_row,
+        note=_one_of_rows,
     )
 
 
@@ -108,7 +104,7 @@ def _has_time(row: Row) -> bool:
 def _read_row(
     file: TextFile,
     row: Row,
-    parsed: ParsedFile,
+    of_file: ParsedFile,
     keep: Collection[int],
     *,
     of_table: bool = False,
@@ -117,12 +113,14 @@ def _read_row(
 
     Parameters
     ----------
-    parsed : what the file says of all its throws; what the row says is added to it.
+    of_file : what the file says of all its throws; what the row says is added to a
+        copy.
     keep : lines whose values may be larger than usual.
     of_table : whether the file has other rows, with which a throw may be fitted that
         determines no friction by itself.
     """
     record = Record(file, row, limited=row.line not in keep)
+    parsed = of_file.copy()
     parsed.events = record.events()
     parsed.labels = row.labels
     fault = record.fault_alone()
@@ -147,10 +145,10 @@ def _read_row(
     return parsed
 
 
-def _of_taken_row(count: int, taken: int) -> Finding:
-    """The note that one throw of a table is read, by its number."""
+def _one_of_rows(count: int, number: int) -> Finding:
+    """The note that one throw of a table of several is read, by its number."""
     another = Remedy("selects-another", Option("shot", "N"))
-    return Finding.note("one-of-rows", another, count=count, taken=taken)
+    return Finding.note("one-of-rows", another, count=count, taken=number)
 
 
 def _odd_rows(
@@ -164,23 +162,22 @@ def _odd_rows(
             for key, size in Record(file, row, limited=False).sizes().items():
                 empty_column = np.full(len(rows), np.nan)
                 columns.setdefault(key, empty_column)[index] = size
-    odd_by_row: dict[int, OddValue] = {}
+    odd_value_of: dict[int, OddValue] = {}  # by row; values beyond limits come first
     for key, values in columns.items():
         for index in np.flatnonzero(np.abs(values) > KINDS[key].limit).tolist():
             impossible = OddValue(index, key, values[index], np.nan, 0.0)
-            odd_by_row.setdefault(index, impossible)
+            odd_value_of.setdefault(index, impossible)
             values[index] = np.nan
     floors = {key: usual_sigma(key) / 2 for key in columns}
     usual = {key: KINDS[key].usual for key in columns}
-    for value in odd_values(columns, floors, usual, [row.labels for row in rows]):
-        odd_by_row.setdefault(value.row, value)
-    odd = [
-        odd_by_row[index]
-        for index in sorted(odd_by_row)
-        if rows[index].line not in keep
-    ]
-    left_out = len(odd) <= len(rows) / 5
-    return tuple(_odd_row(file, rows[value.row].line, value, left_out) for value in odd)
+    labels = [row.labels for row in rows]
+    for odd_value in odd_values(columns, floors, usual, labels):
+        odd_value_of.setdefault(odd_value.row, odd_value)
+    odd = [index for index in sorted(odd_value_of) if rows[index].line not in keep]
+    left_out = len(odd) <= len(rows) / _MOST_ODD
+    return tuple(
+        _odd_row(file, rows[index].line, odd_value_of[index], left_out) for index in odd
+    )
 
 
 def _odd_row(file: TextFile, line: int, odd: OddValue, left_out: bool) -> OddRow:
@@ -227,14 +224,14 @@ def _recognizes(head: list[str]) -> bool:
 
 
 TIMINGS = Format(
-    "timings",
-    _recognizes,
-    _contents,
-    "row",
-    "shot",
-    0,
-    ("shot", "keep", "columns"),
-    KINDS,
+    name="timings",
+    recognizes=_recognizes,
+    contents=_contents,
+    what="row",
+    selected_by="shot",
+    usual=0,
+    selections=("shot", "keep", "columns"),
+    columns=KINDS,
     jointly=True,
 )
 
@@ -347,16 +344,19 @@ def entry_in(table: Path, source: str) -> TableEntry:
     notes_table = Table.find(file, names_throws)
     named = headings_named_in(file)
     path = Path(file_and_number(source)[0]).resolve()
-    names = path.parts, path.with_suffix("").parts
+    with_suffix = path.parts
+    without_suffix = path.with_suffix("").parts
     rows_of_throw = []
     any_named = False
     for row in throws_of_table(notes_table, named, {}):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
         parts = Path(name.replace("\\", "/")).parts
-        if parts:
-            any_named = True
-            if any(parts == ending[-len(parts) :] for ending in names):
-                rows_of_throw.append(row)
+        if not parts:
+            continue
+        any_named = True
+        end = slice(-len(parts), None)
+        if parts in (with_suffix[end], without_suffix[end]):
+            rows_of_throw.append(row)
     if not any_named:
         raise notes_table.error(
             "no names of throws; expected a column `file` or `track`"

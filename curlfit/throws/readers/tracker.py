@@ -32,11 +32,12 @@ def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are a title and a header, or a header with
     two objects."""
     first = _header(head[0])
-    if _known(first) >= 2:
-        return min(map(quantities_of(first).count, "xy")) > 1
+    if _names_a_path(first):
+        quantities = quantities_of(first)
+        return quantities.count("x") > 1 and quantities.count("y") > 1
     return (
         len(head) > 1
-        and _known(_header(head[1])) >= 2
+        and _names_a_path(_header(head[1]))
         and not any(map(is_number, first))
     )
 
@@ -47,22 +48,21 @@ def _table(file: TextFile) -> Table:
     lines = file.lines
     first = file.head()
     header = first
-    if _known(_header(lines[first])) < 2:
+    if not _names_a_path(_header(lines[first])):
         below = range(first + 1, min(first + _MOST_BELOW_TITLES, len(lines)))
         header = next((k for k in below if lines[k].strip()), first)
     table = Table.at(file, header).with_units_below()
     headings = _without_numbers(table.headings)
     titles = [""]
-    if header != first:
-        line = lines[first]
-        titles = (
-            [line.strip()] if table.separator is None else cells(line, table.separator)
-        )
+    if header != first and table.separator is None:
+        titles = [lines[first].strip()]
+    elif header != first:
+        titles = cells(lines[first], table.separator)
     starts = [place for place, title in enumerate(titles[: len(headings)]) if title]
     if len(starts) < 2:
         starts = _repetitions(headings)
-    ends = [*starts[1:], len(headings)]
     starts[0] = 0
+    ends = [*starts[1:], len(headings)]
     objects = {}
     for number, (start, end) in enumerate(zip(starts, ends, strict=True), 1):
         title = next(filter(None, titles[start:end]), "")
@@ -101,13 +101,16 @@ def _without_numbers(headings: list[str]) -> list[str]:
     `t, x, y, t.1, x.1, y.1`, as those of each; any others as they are."""
     plain = [_NUMBER.sub("", heading) for heading in headings]
     quantities = quantities_of(plain)
-    if min(map(quantities.count, "xy")) < 2:
+    if quantities.count("x") < 2 or quantities.count("y") < 2:
         return headings
     all_are_numbered = "x" not in quantities_of(headings)
-    whole = quantities.count("t") > 1 and not any(map(_COMPUTED.fullmatch, plain))
-    return plain if all_are_numbered or whole else headings
+    have_own_times = quantities.count("t") > 1
+    some_are_computed = any(map(_COMPUTED.fullmatch, plain))
+    if all_are_numbered or (have_own_times and not some_are_computed):
+        return plain
+    return headings
 
 
-def _known(headings: Sequence[str]) -> int:
-    """How many of the quantities of a path the headings name."""
-    return len({"t", "x", "y", "phi", "u", "v"} & set(quantities_of(headings)))
+def _names_a_path(headings: Sequence[str]) -> bool:
+    """Whether headings name two or more of the quantities of a path."""
+    return len({"t", "x", "y", "phi", "u", "v"} & set(quantities_of(headings))) >= 2

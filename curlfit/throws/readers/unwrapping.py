@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.throws.channels import running_median
+from curlfit.throws.channels import running_median, slope
 
 TURN = 2 * np.pi
 _SMALLEST_JUMP = 0.25 * (TURN / 2)
@@ -37,8 +37,14 @@ _PACE_ERROR = 0.25
 """Relative error of a rotation that only the pace on both sides of a gap tells."""
 _AMBIGUOUS = 0.4
 """Of a period: beyond it a rotation may as well be one to the other side."""
-_SPAN = (0.7, 1.02)
-"""Of a period: the extent of the values of a wrapped angle."""
+_LEAST_SPAN = 0.7
+"""Of a period: the least extent of the values of a wrapped angle."""
+_MOST_SPAN = 1.02
+"""Of a period: the largest extent of these values."""
+_JUMP_ERROR = 0.15
+"""Of half a turn, beside a usual step: how far a jump by it may be from it."""
+_UNEXPLAINED = 0.25
+"""Of a period: the median of the steps that a spin may leave unexplained."""
 _MOST_OFF_COURSE = 0.2
 """Of the rows, that may be off the course."""
 _FEWEST = 6
@@ -47,6 +53,8 @@ _ABOUT = 3
 """Rows before and after a fault that stand for themselves."""
 _STANDING = 2
 """Rows that repeat the angle before them exactly, from which on it stands still."""
+_GAP = 1.5
+"""Of the median step of time, above which a step is a gap."""
 _PIECES_BEFORE = 200
 """Pieces, up to the one before, from which a piece may follow."""
 
@@ -157,24 +165,25 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> Unwrapped:
     if turned is not None:
         unexplained = np.diff(angle - turned)
         unexplained -= period * np.round(unexplained / period)
-        if np.median(np.abs(unexplained)) > 0.25 * period:
+        if np.median(np.abs(unexplained)) > _UNEXPLAINED * period:
             turned = None  # the spin has another sign or clock
     course = _course(time, angle, period, wrapped, turned)
     lost = ~course.on_course
     if lost.mean() > _MOST_OFF_COURSE:
-        if wrapped or np.ptp(angle) <= _SPAN[1] * TURN:
-            row = int(measured[np.argmax(lost)])
-            raise ContradictoryAnglesError(row, int(lost.sum()), len(measured))
-        return unchanged
+        within_one_turn = wrapped or np.ptp(angle) <= _MOST_SPAN * TURN
+        if not within_one_turn:
+            return unchanged
+        row = int(measured[np.argmax(lost)])
+        raise ContradictoryAnglesError(row, int(lost.sum()), len(measured))
     if wrapped and turned is None:
         _require_slow(course, time, measured, period)
     periods = np.round((course.angle - angle) / period)
-    result = phi.copy()
-    result[measured] = np.where(periods == 0, angle, angle + period * periods)
+    unwrapped = phi.copy()
+    unwrapped[measured] = np.where(periods == 0, angle, angle + period * periods)
     off_course = np.zeros(len(phi), bool)
     off_course[measured[lost]] = True
     jumps = int(np.count_nonzero(np.diff(periods[course.on_course])))
-    return Unwrapped(result, jumps, period, off_course)
+    return Unwrapped(unwrapped, jumps, period, off_course)
 
 
 def period_of(time: Floats, angle: Floats) -> tuple[float, bool]:
@@ -185,19 +194,20 @@ def period_of(time: Floats, angle: Floats) -> tuple[float, bool]:
             continue
         on_course = _course(time, angle, period, wrapped=True).on_course
         values = angle[on_course]
-        dt = np.diff(time[on_course])
         step = np.diff(values)
         large = np.abs(step) > 0.5 * period
-        low, high = _SPAN
-        if not large.any() or not low * period < np.ptp(values) <= high * period:
+        span = np.ptp(values)
+        if not large.any() or not _LEAST_SPAN * period < span <= _MOST_SPAN * period:
             continue
-        if not ((step > 0).any() and (step < 0).any()):
-            continue  # monotonic
+        is_monotonic = not ((step > 0).any() and (step < 0).any())
+        if is_monotonic:
+            continue
         if period < TURN:
-            # over a gap the stone turns besides
-            jump = np.abs(step[large & (dt <= 1.5 * np.median(dt))])
-            allowed = 0.15 * period + np.median(np.abs(step))
-            if not len(jump) or (np.abs(jump - period) > allowed).any():
+            # An angle may jump by half a turn for other reasons: all jumps must be of
+            # this size, but for those over a gap, where the stone turns besides.
+            jumps = np.abs(step[large & _usual(np.diff(time[on_course]))])
+            allowed = _JUMP_ERROR * period + np.median(np.abs(step))
+            if not len(jumps) or (np.abs(jumps - period) > allowed).any():
                 continue
         return period, True
     return TURN, False
@@ -216,13 +226,17 @@ def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
     return np.interp(time, t, np.append(0.0, np.cumsum(steps)))
 
 
+def _usual(dt: Floats) -> Booleans:
+    """Which steps of time are no gaps."""
+    return dt <= _GAP * np.median(dt)
+
+
 def _require_slow(
     course: _Course, time: Floats, measured: np.ndarray, period: float
 ) -> None:
     """Raise `AmbiguousTurnError` where the stone turns too far from row to row."""
-    dt = np.diff(time)
-    usual = dt <= 1.5 * np.median(dt)
-    fast = usual & (np.abs(course.rotation) > _AMBIGUOUS * period)
+    fast = np.abs(course.rotation) > _AMBIGUOUS * period
+    fast &= _usual(np.diff(time))
     if fast.any():
         raise AmbiguousTurnError(int(measured[np.argmax(fast) + 1]))
     for link in course.links:
@@ -245,26 +259,28 @@ def _course(
     """
     dt = np.diff(time)
     step = np.diff(angle)
-    usual = dt <= 1.5 * np.median(dt)
+    usual = _usual(dt)
     nearest = step - period * np.round(step / period) if wrapped else step
     uneven = np.abs(np.diff(nearest)).max(initial=0.0)
     if wrapped and turned is None and usual.all() and uneven < _LEAST_OFF * period:
         # the usual angle, without a fault: no need for pieces
-        whole = angle[0] + np.append(0.0, np.cumsum(nearest))
-        return _Course(whole, np.ones(len(angle), bool), nearest, [])
+        unwrapped = angle[0] + np.append(0.0, np.cumsum(nearest))
+        return _Course(unwrapped, np.ones(len(angle), bool), nearest, [])
+    # How the stone turns over each step: as its neighbours do, or as the spin tells.
     middle = (time[1:] + time[:-1]) / 2
     paces = (nearest / dt)[usual]
     odd_width = min(_PACE_ROWS, len(paces) // 3) // 2 * 2 + 1
     pace = np.interp(middle, middle[usual], running_median(paces, odd_width))
     rotation = pace * dt if turned is None else np.diff(turned)
-    slow = np.abs(rotation) <= _AMBIGUOUS * period
     # A stone that is held, or has come to rest, turns less than its neighbours do.
+    slow = np.abs(rotation) <= _AMBIGUOUS * period
     jump, off = _beyond(step, np.where(slow, 0.0, rotation), rotation, period)
     scatter = 1.4826 * float(np.median(np.abs(step - jump - rotation)[usual]))
     tolerance = float(
         np.clip(_SCATTERS * scatter, _LEAST_OFF * period, _MOST_OFF * period)
     )
-    # Of the rows about a fault, each may be the bad one.
+    # The angle is parted at gaps, jumps, where it begins or ceases to stand still, and
+    # about each fault, of whose rows any may be the bad one.
     faults = np.pad(usual & (off > tolerance), _ABOUT)
     windows = np.lib.stride_tricks.sliding_window_view(faults, 2 * _ABOUT + 1)
     parted = ~usual | windows.any(axis=1) | (jump != 0.0)
@@ -283,15 +299,16 @@ def _course(
     on_course = np.isfinite(course)
     in_chain = np.flatnonzero(on_course)
     if wrapped:
+        # A row beside the chain is the nearest to the course by whole periods.
         expected = np.interp(time, time[in_chain], course[in_chain])
         beside = angle + period * np.round((expected - angle) / period)
     else:
         # A row beside the chain is shifted as the row of the chain before it or after
         # it, whichever is shifted less.
         shifts = (course - angle)[in_chain]
-        place = np.searchsorted(in_chain, np.arange(len(angle)))
-        later = shifts[np.minimum(place, len(in_chain) - 1)]
-        earlier = shifts[np.maximum(place - 1, 0)]
+        following = np.searchsorted(in_chain, np.arange(len(angle)))
+        later = shifts[np.minimum(following, len(in_chain) - 1)]
+        earlier = shifts[np.maximum(following - 1, 0)]
         beside = angle + np.where(np.abs(earlier) < np.abs(later), earlier, later)
     return _Course(np.where(on_course, course, beside), on_course, rotation, chain[1:])
 
@@ -315,10 +332,10 @@ def _begins_or_ends_standing(step: Floats) -> Booleans:
     begin = np.flatnonzero(change == 1)
     end = np.flatnonzero(change == -1)
     long = end - begin >= _STANDING
-    result = np.zeros(len(step) + 1, bool)
-    result[begin[long]] = True
-    result[end[long]] = True
-    return result[:-1]
+    begins_or_ends = np.zeros(len(step) + 1, bool)
+    begins_or_ends[begin[long]] = True
+    begins_or_ends[end[long]] = True
+    return begins_or_ends[:-1]  # the last step has no end
 
 
 def _pieces(time: Floats, angle: Floats, parted: Booleans) -> list[_Piece]:
@@ -331,19 +348,20 @@ def _pieces(time: Floats, angle: Floats, parted: Booleans) -> list[_Piece]:
         end = int(np.searchsorted(time, time[last] - _PACE_TIME))
         head = slice(first, min(max(begin, first + _FEWEST_OF_PACE), last + 1))
         tail = slice(max(min(end, last + 1 - _FEWEST_OF_PACE), first), last + 1)
-        paces = [_slope(time[rows], angle[rows]) for rows in (head, tail)]
-        pieces.append(_Piece(first, last, *paces))
+        first_pace = _pace(time[head], angle[head])
+        last_pace = _pace(time[tail], angle[tail])
+        pieces.append(_Piece(first, last, first_pace, last_pace))
     return pieces
 
 
-def _slope(time: Floats, angle: Floats) -> float:
-    """Of a straight line, in rad/s; NaN for too few rows, unless they stand still."""
+def _pace(time: Floats, angle: Floats) -> float:
+    """How fast an angle turns in some rows, in rad/s; NaN for too few rows, unless they
+    stand still."""
     if len(time) > 1 and np.ptp(angle) == 0:
         return 0.0
     if len(time) < _FEWEST_OF_PACE or np.ptp(time) < _LEAST_TIME:
         return np.nan
-    centred = time - time.mean()
-    return float(centred @ angle / (centred @ centred))
+    return slope(time, angle)
 
 
 def _longest_chain(
@@ -368,14 +386,20 @@ def _longest_chain(
     last = np.array([piece.last for piece in pieces])
     first_pace = np.array([piece.first_pace for piece in pieces])
     last_pace = np.array([piece.last_pace for piece in pieces])
-    length = last - first + 1  # of the longest chain up to each piece
+    # Of each piece the rows of the longest chain up to it, and the piece before it in
+    # this chain; -1 for the first of a chain.
+    length = last - first + 1
     behind = np.full(len(pieces), -1)
     links = [_Link(pieces[0], 0.0, 0.0)]
     for k in range(1, len(pieces)):
         before = slice(max(0, k - _PIECES_BEFORE), k)
         row = first[k]
-        if turned is None:
-            # The stone goes on as before the gap, or turns as it will after it.
+        if turned is not None:
+            going_on = turned[row] - turned[last[before]]
+            as_after = going_on
+        else:
+            # The stone goes on as before the gap, or turns as it will after it. Where
+            # one of the paces is not known, it is the other, or that of the rows about.
             gap = time[row] - time[last[before]]
             paces = last_pace[before]
             paces = np.where(np.isnan(paces), first_pace[k], paces)
@@ -384,9 +408,6 @@ def _longest_chain(
             as_after = going_on
             if not np.isnan(first_pace[k]):
                 as_after = gap * first_pace[k]
-        else:
-            going_on = turned[row] - turned[last[before]]
-            as_after = going_on
         rotation = (going_on + as_after) / 2
         step = angle[row] - angle[last[before]]
         jump, off = _beyond(step, going_on, as_after, period)

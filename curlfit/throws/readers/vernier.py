@@ -33,12 +33,12 @@ def _recognizes(head: list[str]) -> bool:
 def _table(file: TextFile) -> Table:
     """The table with each data set as an object."""
     table = Table.at(file, file.head())
-    matches = list(map(_HEADING.fullmatch, table.headings))
-    data_sets = [match["data_set"].strip() if match else "" for match in matches]
-    headings = [
-        match["column"].strip() if match else heading
-        for match, heading in zip(matches, table.headings, strict=True)
-    ]
+    data_sets = []
+    headings = []
+    for heading in table.headings:
+        match = _HEADING.fullmatch(heading)
+        data_sets.append(match["data_set"].strip() if match else "")
+        headings.append(match["column"].strip() if match else heading)
     return replace(table, headings=headings, objects=places_by_name(data_sets))
 
 

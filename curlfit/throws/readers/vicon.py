@@ -48,8 +48,8 @@ def _table(file: TextFile) -> Table:
     frames = unit_of_frames(rate)
     names = _names(file, above_header[-1], len(table.headings))
     objects = {
-        name: [0, *places]  # with the frame
-        for name, places in places_by_name(names).items()
+        name: [0, *columns]  # with the frame
+        for name, columns in places_by_name(names).items()
     }
     return replace(table, objects=objects, units=f"t={frames}" if frames else "")
 

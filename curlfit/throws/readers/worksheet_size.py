@@ -21,8 +21,9 @@ _OF_A_VALUE = {
     *("office:value", "office:value-type", "office:string-value", "office:date-value"),
     *("office:time-value", "office:boolean-value", "table:formula"),
 }
-# kinds of records in an .xlsb; kind 1 is a cell without a value
-_XLSB_ROW, _XLSB_CELLS = 0, range(2, 12)
+# kinds of records in an .xlsb: a row, and a cell with a value (kind 1 is one without)
+_XLSB_ROW = 0
+_XLSB_CELLS = range(2, 12)
 
 
 @dataclass
@@ -98,12 +99,12 @@ def _extent_of_xlsx(content: bytes) -> Extent:
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal row, row_of_cell, column
-        place = attributes.get("r", "")
+        reference = attributes.get("r", "")
         if name == "row":
-            row = int(place[:20]) if place.isdecimal() else row + 1
+            row = int(reference[:20]) if reference.isdecimal() else row + 1
             column = 0
         elif name == "c":
-            row_of_cell, column = _place(place, row, column + 1)
+            row_of_cell, column = _row_and_column(reference, row, column + 1)
         elif name in ("v", "is"):  # a cell without a value has a style alone
             extent.include(row_of_cell, column)
 
@@ -111,7 +112,7 @@ def _extent_of_xlsx(content: bytes) -> Extent:
     return extent
 
 
-def _place(reference: str, row: int, column: int) -> tuple[int, int]:
+def _row_and_column(reference: str, row: int, column: int) -> tuple[int, int]:
     """Row and column of a reference such as AB12; the given ones where it is empty."""
     name = reference.rstrip("0123456789")
     digits = reference[len(name) :][:20]
@@ -127,6 +128,8 @@ def _place(reference: str, row: int, column: int) -> tuple[int, int]:
 def _extents_of_ods(content: bytes) -> list[Extent]:
     """One for each worksheet; rows and cells may be repeated."""
     extents = [Extent()]
+    # the number of rows above the current ones and how often these are repeated, and
+    # likewise of cells from the left
     above = rows = left = columns = 0
 
     def start(name: str, attributes: dict[str, str]) -> None:
@@ -159,28 +162,29 @@ def _extent_of_xlsb(content: bytes) -> Extent:
     """A record is its kind, its length and as many bytes; a row begins with its index,
     and a cell with that of its column, in 4 bytes."""
     extent = Extent()
-    row = place = 0
-    while place < len(content):
-        kind, place = _number_of_xlsb(content, place)
-        length, place = _number_of_xlsb(content, place)
-        index = int.from_bytes(content[place : place + 4], "little")
+    row = 0
+    offset = 0
+    while offset < len(content):
+        kind, offset = _number_of_xlsb(content, offset)
+        length, offset = _number_of_xlsb(content, offset)
+        index = int.from_bytes(content[offset : offset + 4], "little")
         if kind == _XLSB_ROW:
             row = index + 1
         elif kind in _XLSB_CELLS:
             extent.include(row, index + 1)
-        place += length
+        offset += length
     return extent
 
 
-def _number_of_xlsb(content: bytes, place: int) -> tuple[int, int]:
-    """A number in 7 bits of each of at most 4 bytes, and the place after it. The
-    highest bit of a byte says whether another one follows."""
+def _number_of_xlsb(content: bytes, offset: int) -> tuple[int, int]:
+    """A number in 7 bits of each of at most 4 bytes, and the offset of what follows it.
+    The highest bit of a byte says whether another one follows."""
     number = 0
-    for position, byte in enumerate(content[place : place + 4]):
+    for position, byte in enumerate(content[offset : offset + 4]):
         number |= (byte & 0x7F) << 7 * position
         if byte < 0x80:
-            return number, place + position + 1
-    return number, place + 4
+            return number, offset + position + 1
+    return number, offset + 4
 
 
 def _parse(content: bytes, start: Callable[[str, dict[str, str]], None]) -> None:
