@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
-from curlfit.friction.base import arctan, exp, on_new_law
+from curlfit.friction.base import arctan, exp, on_new_law, ring_points
 from curlfit.stone import Stone
 
 AnyLaw = TypeVar("AnyLaw", bound=Law)
@@ -158,27 +158,7 @@ def sample_points(front: float) -> RingPoint:
     v = np.array([[1.1], [0.3], [2.3]])
     u = np.array([[-0.6], [0.15], [1.7]])
     angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
-    xi = np.cos(angle)
-    eta = np.sin(angle)
-    slide_xi = -u * eta  # eq. 16
-    slide_eta = v + u * xi
-    speed = np.hypot(slide_xi, slide_eta)
-    return RingPoint(
-        xi=xi,
-        eta=eta,
-        angle=angle,
-        front=front,
-        slide_xi=slide_xi,
-        slide_eta=slide_eta,
-        speed=speed,
-        e_xi=slide_xi / speed,
-        e_eta=slide_eta / speed,
-        load=np.ones_like(speed),
-        v=v,
-        u=u,
-        turned=0.7 * v,
-        time=3.1 * v,
-    )
+    return ring_points(angle, v, u, 0.7 * v, 3.1 * v, front=front)
 
 
 def _close(a: Any, b: Any) -> bool:
