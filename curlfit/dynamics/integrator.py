@@ -176,6 +176,9 @@ def _integrate_batch(
     def advance(step: _Dual) -> _Dual:
         """The step after a step, by the formula of Dormand and Prince."""
         t, dt, frame, begin, rate, _ = _fields(step)
+        # The nodes of the ring and the frame of the heading are chosen once for all
+        # stages, and need no tangents: the motion does not depend on the choice, but
+        # for the errors of quadrature and series.
         state_before = State(*begin.value)
         clustering = node_clustering(state_before.v, stone.R * state_before.omega)
 
@@ -283,9 +286,9 @@ def _integrate_batch(
     def channels(rest: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
         """The rows, with the place of rest where the stone is at rest, and 0 where they
         are unused."""
-        place = (jnp.where(used, coordinate, 0.0) for coordinate in rest[:3])
-        final: tuple[Any, ...] = (*place, 0.0, 0.0, 0.0)
-        moving = (channel for order in out for channel in order)
+        place = [jnp.where(used, coordinate, 0.0) for coordinate in rest[:3]]
+        final: list[Any] = [*place, 0.0, 0.0, 0.0]
+        moving = [channel for order in out for channel in order]
         return tuple(
             jnp.where(constant, end, channel[: len(times)])
             for end, channel in zip(final, moving, strict=False)

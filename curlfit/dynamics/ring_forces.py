@@ -214,7 +214,7 @@ def _slopes_on_ring(
         slopes = _along(force_at, varied, _unit_directions(varied))
     if not lacking:
         return slopes
-    # those follow the coefficients that the law has
+    # zeros for the coefficients that it lacks, after those that it has
     before = sum(place < count for place in places)
     zeros = contact.zeros(lacking)
     return tuple(

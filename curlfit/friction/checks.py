@@ -178,7 +178,7 @@ class Check:
         or evaluated."""
         import jax
 
-        defaults = np.array([item.default for item in self.law.coefficients()])
+        defaults = np.array([c.default for c in self.law.coefficients()])
 
         def evaluate(values: Any, argument: Any) -> Any:
             friction = self.law.from_vector(values)
@@ -274,7 +274,7 @@ class Check:
         """Compare friction summed over steps in time with that over many
         more points."""
         rows = sample(self.law, _COURSES, seed=2).coefficients
-        rows[0] = [item.default for item in self.law.coefficients()]
+        rows[0] = [c.default for c in self.law.coefficients()]
         for coefficients in rows:
             for spin in _SPINS:
                 course = _course(coefficients, spin)

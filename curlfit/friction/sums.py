@@ -29,15 +29,15 @@ class Sum(LocalLaw):
         """The parts with their coefficients."""
         terms = []
         for part in self.parts:
-            values = [getattr(self, item.name) for item in part.coefficients()]
+            values = [getattr(self, c.name) for c in part.coefficients()]
             terms.append(part(*values))
         return terms
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         tractions = [term.traction(point) for term in self.terms]
-        return sum(across for across, _ in tractions), sum(
-            along for _, along in tractions
-        )
+        across = sum(traction[0] for traction in tractions)
+        along = sum(traction[1] for traction in tractions)
+        return across, along
 
     def edges(self, turned: Any) -> Edges:
         edges = [term.edges(turned) for term in self.terms]
@@ -61,7 +61,7 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
     """The law of which these are the parts. Raises `InputError` unless one brakes, all
     act on the ring, and no two have a coefficient of one name."""
     name = "+".join(part.name for part in parts)
-    uses = Counter(item.name for part in parts for item in part.coefficients())
+    uses = Counter(c.name for part in parts for c in part.coefficients())
     for coefficient, count in uses.items():
         if count > 1:
             raise InputError(f"{name}: two of these have a coefficient {coefficient}")
@@ -76,9 +76,9 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
     # A sum with a part of the user is not shipped (`Law.shipped`).
     modules_of_users = [part.__module__ for part in parts if not part.shipped()]
     coefficients: dict[str, Any] = {
-        item.name: field(default=item.default, metadata=item.metadata)
+        declared.name: field(default=declared.default, metadata=declared.metadata)
         for part in parts
-        for item in fields(part)
+        for declared in fields(part)
     }
     attributes = {
         "__annotations__": dict.fromkeys(coefficients, float),
