@@ -75,14 +75,14 @@ def accelerations_under(forces: RingForces, stone: Stone) -> Accelerations:
 
 
 def _of_net_law(kind: type[NetLaw], inputs: _Inputs) -> Accelerations:
-    moving = inputs.v > 0
+    v = inputs.v
     # Any speed will do where the stone is at rest, but zero, at which a law, and thus a
     # derivative, may be infinite.
-    speed = jnp.where(moving, inputs.v, 1.0)
+    speed = jnp.where(v > 0, v, 1.0)
     motion = Motion(speed, inputs.omega, inputs.turned, inputs.time)
     law = kind.from_vector(inputs.coefficients)
     of_moving_stone = law.accelerations(motion, inputs.stone)
-    return Accelerations(*(jnp.where(moving, part, 0.0) for part in of_moving_stone))
+    return Accelerations(*(jnp.where(v > 0, part, 0.0) for part in of_moving_stone))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))

@@ -118,9 +118,11 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     factor = jnp.where(moving, 1 / jnp.pi, 0.0)
     B, H, D, G = (factor * integral for integral in _complete(m, m1))
     # Of 1, c, c^2 over rho, odd in eta.
+    integral_c = q * (-1 / 3)
+    integral_cc = 1 / 3 + 2 / 15 * m
     odd_1 = 1 / jnp.pi
-    odd_c = q * (-1 / 3) * (1 / jnp.pi)
-    odd_cc = (1 / 3 + 2 / 15 * m) * (1 / jnp.pi)
+    odd_c = integral_c * odd_1
+    odd_cc = integral_cc * odd_1
     # Of c^2, c^3 and (1 - c^2) c over rho, even in eta.
     cc = (B + (2 + m) * D) * (1 / 3)
     c_ss = q * ((1 + m) * (G + 2 * D) * (1 / 15) - 2 / 5 * D)

@@ -288,7 +288,7 @@ def _integrate_batch(
         are unused."""
         place = [jnp.where(used, coordinate, 0.0) for coordinate in rest[:3]]
         final: list[Any] = [*place, 0.0, 0.0, 0.0]
-        moving = [channel for order in out for channel in order]
+        moving = (channel for order in out for channel in order)
         return tuple(
             jnp.where(constant, end, channel[: len(times)])
             for end, channel in zip(final, moving, strict=False)
@@ -376,8 +376,8 @@ def _step(*fields: _Dual) -> _Dual:
 
 
 def _row(rows: _Dual, index: int) -> _Dual:
-    tangents = None if rows.tangents is None else rows.tangents[index]
-    return _Dual(rows.value[index], tangents)
+    value = rows.value[index]
+    return _Dual(value, None if rows.tangents is None else rows.tangents[index])
 
 
 def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -141,8 +141,7 @@ def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slo
 
     def directions(group: tuple[int, ...]) -> Values:
         """Unit directions in the speed of the centre and in that of rotation."""
-        rows = np.array(group) - k
-        return tuple(part[rows] for part in _unit_directions(speeds))
+        return tuple(part[np.array(group) - k] for part in _unit_directions(speeds))
 
     # once for all laws of a family
     changes_of_sliding = {
