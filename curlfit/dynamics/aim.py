@@ -36,7 +36,9 @@ LONGEST = 2000.0
 _SPEEDS = np.append(0.05 * 1.25 ** np.arange(22), FASTEST)  # grid for the bracket
 _TOLERANCE = 1e-9  # m
 _MAX_TURNS = 80  # of the heading
-_GRID_SIZE = 129
+_FIRST_DURATION = 60.0  # s, after which most stones are at rest
+_GRID_SIZE = 129  # times at which the speed is compared
+_REFINEMENTS = 2  # of the interval within which the speed is reached
 
 
 class Aim(NamedTuple):
@@ -87,12 +89,13 @@ def aim(
     Examples
     --------
     >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
-    >>> found = curlfit.aim(law, curlfit.Stone(), (0.0, 28.35), omega0=1.0)
-    >>> round(found.v0, 2), found.heading > 0
+    >>> throw = curlfit.aim(law, curlfit.Stone(), (0.0, 28.35), omega0=1.0)
+    >>> round(throw.v0, 2), throw.heading > 0
     (2.24, True)
     """
     find_law(type(law))
-    across, along = target[0] - start[0], target[1] - start[1]
+    across = target[0] - start[0]
+    along = target[1] - start[1]
     for name, value in (("target", across), ("target", along), ("omega0", omega0)):
         if not math.isfinite(value):
             raise InputError(f"{name}: expected finite numbers")
@@ -109,42 +112,53 @@ def aim(
         raise InputError(
             f"heading = {heading:g} rad: expected one that goes along the sheet"
         )
-    surroundings, direct = environment or Environment(), math.atan2(across, along)
-    guess = direct if heading is None else heading
+    surroundings = environment or Environment()
+    distance = math.hypot(across, along)
+    bearing = math.atan2(across, along)
+    # a first guess, along which the throw goes if no heading is prescribed
+    direction = bearing if heading is None else heading
 
-    def overshoot(place: Floats) -> float:
-        """Distance beyond the target, along the sheet for a prescribed heading."""
+    def overshoot(end: Floats) -> float:
+        """Distance beyond the target, along the sheet for a prescribed heading, of a
+        throw along +y that ends at (x, y)."""
         if heading is None:
-            return math.hypot(*place) - math.hypot(across, along)
-        return math.cos(heading) * place[1] - math.sin(heading) * place[0] - along
+            return math.hypot(*end) - distance
+        return math.cos(heading) * end[1] - math.sin(heading) * end[0] - along
 
     for _ in range(_MAX_TURNS):
-        forces = np.asarray(_external_forces(stone, surroundings, guess, 0.0))
-        place = partial(_place, law, stone, check_load(load), forces, omega0, speed)
-        v0 = _speed_without(overshoot, place, speed)
+        forces = np.asarray(_external_forces(stone, surroundings, direction, 0.0))
+        end_at = partial(_end_of, law, stone, check_load(load), forces, omega0, speed)
+        v0 = _speed_without(overshoot, end_at, speed)
         if heading is not None:
             return Aim(v0, heading)
-        found = direct - math.atan2(*place(v0))
-        # The heading enters only through the direction of the slope.
-        if (
-            abs(found - guess) < _TOLERANCE / math.hypot(across, along)
-            or environment is None
-        ):
+        previous = direction
+        # The path is rotated until its end lies in the direction of the target.
+        direction = bearing - math.atan2(*end_at(v0))
+        # The path depends on the heading only through the direction of the slope.
+        if environment is None or abs(direction - previous) < _TOLERANCE / distance:
             break
-        guess = found
-    return Aim(v0, found)
+    return Aim(v0, direction)
 
 
 def _speed_without(
-    overshoot: Callable[[Floats], float], place: Callable[[float], Floats], speed: float
+    overshoot: Callable[[Floats], float],
+    end_at: Callable[[float], Floats],
+    speed: float,
 ) -> float:
-    """Initial speed whose place is neither short of the target nor beyond it; `speed`
-    is the one there."""
+    """Initial speed of the throw that ends, at `speed`, neither short of the target nor
+    beyond it.
+
+    Parameters
+    ----------
+    overshoot : distance beyond the target by the end (x, y) of a throw.
+    end_at : the end of a throw by its initial speed.
+    """
 
     def excess_at(v: float) -> float:
-        return overshoot(place(v))
+        return overshoot(end_at(v))
 
-    low, largest = speed, -math.inf
+    low = speed
+    largest = -math.inf
     for high in _SPEEDS[speed < _SPEEDS].tolist():
         excess = excess_at(high)
         if math.isnan(excess):
@@ -156,15 +170,15 @@ def _speed_without(
             from scipy.optimize import brentq  # slow to load
 
             return float(brentq(excess_at, low, high, xtol=_TOLERANCE / 1000))
-        low, largest = high, max(largest, excess)
-    what = "comes to rest" if speed == 0 else f"has slowed to {speed:g} m/s"
+        low = high
+        largest = max(largest, excess)
+    end = "comes to rest" if speed == 0 else f"has slowed to {speed:g} m/s"
     raise InputError(
-        f"no throw reaches it: even one of {FASTEST:g} m/s {what} "
-        f"{-largest:.3g} m short"
+        f"no throw reaches it: even one of {FASTEST:g} m/s {end} {-largest:.3g} m short"
     )
 
 
-def _place(
+def _end_of(
     law: Law,
     stone: Stone,
     load: Load,
@@ -173,13 +187,11 @@ def _place(
     speed: float,
     v: float,
 ) -> Floats:
-    """Where (x, y) a throw from the origin along +y has slowed to a speed; NaN if
-    it does not."""
+    """Where (x, y) a throw from the origin along +y, at `v`, has slowed to `speed`; NaN
+    if it does not."""
     if v <= speed:
         return np.zeros(2)
-    coefficients = np.array(
-        [float(getattr(law, item.name)) for item in law.coefficients()]
-    )
+    coefficients = np.array([float(value) for value in jax.tree.leaves(law)])
 
     def motion(times: Floats) -> Floats:
         """x, y, speed, vx, vy, shape (5, times)."""
@@ -187,18 +199,24 @@ def _place(
         path = _motion(type(law), load, coefficients, stone, forces, start, times)
         return np.asarray(path)
 
-    times = np.linspace(0.0, 60.0, _GRID_SIZE)
-    while not ((path := motion(times))[2] <= speed).any():
+    def first_slow(path: Floats) -> int:
+        """Index of the first time at which the stone is as slow, or of the last."""
+        return max(int(np.append(path[2, :-1] <= speed, True).argmax()), 1)
+
+    times = np.linspace(0.0, _FIRST_DURATION, _GRID_SIZE)
+    path = motion(times)
+    while not (path[2] <= speed).any():
         if times[-1] >= LONGEST or np.isnan(path).any():
             return np.full(2, math.nan)
         times = 2 * times
+        path = motion(times)
     if speed == 0:
         return path[:2, -1]
-    for finer in (True, True, False):
-        k = max(int(np.append(path[2, :-1] <= speed, True).argmax()), 1)
-        if finer:
-            times = np.linspace(times[k - 1], times[k], _GRID_SIZE)
-            path = motion(times)
+    for _ in range(_REFINEMENTS):
+        k = first_slow(path)
+        times = np.linspace(times[k - 1], times[k], _GRID_SIZE)
+        path = motion(times)
+    k = first_slow(path)
     deceleration = (path[2, k] - path[2, k - 1]) / (times[k] - times[k - 1])
     # a few microseconds at most
     return path[:2, k] + (speed - path[2, k]) / deceleration * path[3:, k]
@@ -217,7 +235,8 @@ def _motion(
     start: InitialState,
     times: Array,
 ) -> Array:
-    friction, start = law.from_vector(coefficients), jax.tree.map(jnp.asarray, start)
+    friction = law.from_vector(coefficients)
+    start = jax.tree.map(jnp.asarray, start)
     path = ordered_trajectory(
         friction, stone, forces, start, times, jnp.zeros(()), load=load
     )

@@ -51,32 +51,38 @@ class _Inputs(NamedTuple):
         self, kind: type[Law], load: Load, clustering: NodeClustering
     ) -> Contact:
         """The ring, with all that its friction depends on."""
-        R, h = self.stone.R, self.stone.h
+        R = self.stone.R
         motion = RingMotion(self.v, R * self.omega, self.turned, self.time)
-        lever = 2 * h / R + jnp.zeros_like(self.v)
+        lever = 2 * self.stone.h / R + jnp.zeros_like(self.v)
         return Contact(kind, load, self.coefficients, motion, clustering, lever)
 
 
 def accelerations_under(forces: RingForces, stone: Stone) -> Accelerations:
-    """Accelerations due to the forces of a ring; NaN where no load with n >= 0
+    """Accelerations due to the forces of a ring (eq. 1); NaN where no load with n >= 0
     balances them."""
-    t_xi, t_eta, moment = forces[0]
+    net = forces[0]
     if len(forces) > 1:
         p, q = balanced_tilt(forces, jnp.asarray(2 * stone.h / stone.R))
-        t_xi, t_eta, moment = (
-            one + p * xi + q * eta for one, xi, eta in zip(*forces, strict=True)
+        # eq. 9: the load is 1 + p xi + q eta
+        net = tuple(
+            constant + p * by_xi + q * by_eta
+            for constant, by_xi, by_eta in zip(*forces, strict=True)
         )
+    t_xi, t_eta, moment = net
     return Accelerations(
         GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2
     )
 
 
 def _of_net_law(kind: type[NetLaw], inputs: _Inputs) -> Accelerations:
-    v, omega, turned, time = inputs[2:]
+    v = inputs.v
+    # Any speed will do where the stone is at rest, but zero, at which a law, and thus a
+    # derivative, may be infinite.
+    speed = jnp.where(v > 0, v, 1.0)
+    motion = Motion(speed, inputs.omega, inputs.turned, inputs.time)
     law = kind.from_vector(inputs.coefficients)
-    motion = Motion(jnp.where(v > 0, v, 1.0), omega, turned, time)
-    found = law.accelerations(motion, inputs.stone)
-    return Accelerations(*(jnp.where(v > 0, value, 0.0) for value in found))
+    of_moving_stone = law.accelerations(motion, inputs.stone)
+    return Accelerations(*(jnp.where(v > 0, part, 0.0) for part in of_moving_stone))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -100,63 +106,58 @@ def _accelerations_jvp(
     if issubclass(kind, NetLaw):
         return _along(partial(_of_net_law, kind), inputs, change)
     stone: Stone = inputs.stone
-    of_stone, of_ring = _ring_change(kind, inputs, change)
+    change_of_ring = _change_of_ring(kind, inputs, change)
     contact = inputs.contact(kind, load, clustering)
     forces = ring_forces(contact)
     tilt = None if load == Load.UNIFORM else tuple(balanced_tilt(forces, contact.lever))
-    out, total = _along(partial(accelerations_under, forces), stone, of_stone)
+    out, total = _along(partial(accelerations_under, forces), stone, change.stone)
 
-    def under_load(change: Values) -> Accelerations:
+    def with_load(constant: Values) -> Accelerations:
+        return accelerations_under((constant, *forces[1:]), stone)
+
+    def effect_of(force_change: Values) -> Accelerations:
         """Effect of a change of the forces at fixed load, to which the load
         then responds."""
+        effect: Accelerations = jax.jvp(with_load, (forces[0],), (force_change,))[1]
+        return effect
 
-        def at(constant: Values) -> Accelerations:
-            return accelerations_under((constant, *forces[1:]), stone)
-
-        found: Accelerations = jax.jvp(at, (forces[0],), (change,))[1]
-        return found
-
-    for group in ring_slopes(contact, tilt, of_ring):
-        rows = jax.vmap(under_load)(group.values)
-        for number, *row in zip(group.inputs, *rows, strict=True):
-            if number in of_ring:
-                direction = of_ring[number]
-                terms = zip(total, row, strict=True)
-                total = Accelerations(
-                    *(sum_ + part * direction for sum_, part in terms)
-                )
+    for group in ring_slopes(contact, tilt, change_of_ring):
+        effects = jax.vmap(effect_of)(group.values)
+        for number, *slope in zip(group.inputs, *effects, strict=True):
+            if number in change_of_ring:
+                step = change_of_ring[number]
+                parts = zip(total, slope, strict=True)
+                total = Accelerations(*(part + by * step for part, by in parts))
     return out, total
 
 
-def _ring_change(
+def _change_of_ring(
     kind: type[Law], inputs: _Inputs, change: _Inputs
-) -> tuple[Stone, dict[int, Any]]:
-    """Tangents of the stone's fields, and of the ring's inputs by their number."""
-    numbered: list[Any] = [
-        *change.coefficients,
-        change.v,
-        None,
-        change.turned,
-        change.time,
-    ]
-    k = len(change.coefficients)
-    spin, radius = change.omega, change.stone.R
-    terms = [
-        factor * part
-        for factor, part in ((inputs.stone.R, spin), (inputs.omega, radius))
-        if not _is_zero(part)
-    ]
-    numbered[k + 1] = sum(terms) if terms else spin
+) -> dict[int, Any]:
+    """Tangents of the ring's inputs by their number, without those that are zero or
+    that friction does not depend on.
+
+    Inputs are numbered as in `ring_forces.Slopes`: the coefficients, then v, R omega,
+    angle turned and time.
+    """
+    stone = inputs.stone
+    # the product rule for R omega
+    terms = []
+    if not _is_zero(change.omega):
+        terms.append(stone.R * change.omega)
+    if not _is_zero(change.stone.R):
+        terms.append(inputs.omega * change.stone.R)
+    spin = sum(terms) if terms else change.omega
+    tangents: list[Any] = [*change.coefficients, change.v, spin]
     laws = kind.members if issubclass(kind, LawFamily) else (kind,)
-    depends = (
-        depends_on_turned_and_time(example_law(law), inputs.stone) for law in laws
-    )
-    seen = [True] * (k + 2) + [any(flags) for flags in zip(*depends, strict=True)]
-    return change.stone, {
-        number: part
-        for number, part in enumerate(numbered)
-        if seen[number] and not _is_zero(part)
-    }
+    dependences = [depends_on_turned_and_time(example_law(law), stone) for law in laws]
+    number_of_turned = len(tangents)
+    by_number = dict(enumerate(tangents))
+    if any(on_turned for on_turned, _ in dependences):
+        by_number[number_of_turned] = change.turned
+    if any(on_time for _, on_time in dependences):
+        by_number[number_of_turned + 1] = change.time
+    return {number: part for number, part in by_number.items() if not _is_zero(part)}
 
 
 def _is_zero(tangent: Any) -> bool:
@@ -169,23 +170,22 @@ def _along(
     """A function and its derivative along a direction that may be zero in
     some inputs."""
     leaves, tree = jax.tree.flatten(inputs)
-    parts = jax.tree.leaves(change, is_leaf=_is_zero)
-    varying = [number for number, part in enumerate(parts) if not _is_zero(part)]
+    tangents = jax.tree.leaves(change, is_leaf=_is_zero)
+    varying = [number for number, part in enumerate(tangents) if not _is_zero(part)]
 
-    def restricted(*values: Array) -> Accelerations:
+    def of_varying(*values: Array) -> Accelerations:
         moved = list(leaves)
         for number, value in zip(varying, values, strict=True):
             moved[number] = value
         return function(jax.tree.unflatten(tree, moved))
 
     if not varying:
-        out = restricted()
+        out = of_varying()
         return out, Accelerations(*map(jnp.zeros_like, out))
     primals = tuple(leaves[number] for number in varying)
-    found: tuple[Accelerations, Accelerations] = jax.jvp(
-        restricted, primals, tuple(parts[number] for number in varying)
-    )
-    return found
+    directions = tuple(tangents[number] for number in varying)
+    pair: tuple[Accelerations, Accelerations] = jax.jvp(of_varying, primals, directions)
+    return pair
 
 
 _accelerations.defjvp(_accelerations_jvp, symbolic_zeros=True)
@@ -219,7 +219,7 @@ def accelerations(
     """
     if not isinstance(law, LocalLaw | NetLaw | LawFamily):
         raise TypeError(f"{law!r} is neither a LocalLaw nor a NetLaw")
-    inputs = _inputs(law, stone, v, omega, turned, time)
+    inputs = _float_inputs(law, stone, v, omega, turned, time)
     if clustering is None:
         clustering = node_clustering(inputs.v, inputs.stone.R * inputs.omega)
     return _accelerations(type(law), load, inputs, clustering)
@@ -235,12 +235,13 @@ def contact_of(
 ) -> Contact:
     """The ring of a stone in motion. Arguments as in `accelerations`; not
     for a net law."""
-    inputs = _inputs(law, stone, v, omega, turned, 0.0)
+    inputs = _float_inputs(law, stone, v, omega, turned, 0.0)
     clustering = node_clustering(inputs.v, inputs.stone.R * inputs.omega)
     return inputs.contact(type(law), load, clustering)
 
 
-def _inputs(law: Law, stone: Stone, *motion: ArrayLike) -> _Inputs:
-    given = _Inputs(tuple(jax.tree.leaves(law)), stone, *motion)  # type: ignore[arg-type]
-    found: _Inputs = jax.tree.map(lambda value: jnp.asarray(value, float), given)
-    return found
+def _float_inputs(law: Law, stone: Stone, *motion: ArrayLike) -> _Inputs:
+    """Inputs as arrays of floats; `motion` is (v, omega, turned, time)."""
+    numbers = (tuple(jax.tree.leaves(law)), stone, *motion)
+    arrays = jax.tree.map(lambda value: jnp.asarray(value, float), numbers)
+    return _Inputs(*arrays)

@@ -30,11 +30,11 @@ _SMALL_M = 1e-5  # m below which dG/dm is taken from its series
 
 
 class _Complete(NamedTuple):
-    """Complete elliptic integrals of the parameter `m = q^2`, by the
-    arithmetic-geometric mean."""
+    """Complete elliptic integrals of the parameter `m = q^2`: integrals from 0 to pi/2,
+    with Delta = sqrt(1 - m sin^2)."""
 
     B: Array
-    """of cos^2/Delta, Delta = sqrt(1 - m sin^2)"""
+    """of cos^2/Delta"""
     H: Array
     """(1 - m) D"""
     D: Array
@@ -45,10 +45,14 @@ class _Complete(NamedTuple):
 
 @jax.custom_jvp
 def _complete(m: Array, m1: Array) -> _Complete:
-    """At m in [0, 1) and m1 = 1 - m, given separately to avoid cancellation."""
-    a, b = jnp.ones_like(m), jnp.sqrt(m1)
+    """Complete integrals by the arithmetic-geometric mean, at m in [0, 1) and m1 =
+    1 - m, given separately to avoid cancellation."""
+    a = jnp.ones_like(m)
+    b = jnp.sqrt(m1)
     first = 1 / (2 * (a + b))  # c_1/m
-    total, power = jnp.zeros_like(m), 2.0
+    # the sum over n > 1 of 2^n c_n^2, with c_n = (a_(n-1) - b_(n-1))/2
+    total = jnp.zeros_like(m)
+    power = 2.0
     for _ in range(_AGM_ITERATIONS):
         a, b = (a + b) / 2, jnp.sqrt(a * b)
         power *= 2
@@ -56,7 +60,8 @@ def _complete(m: Array, m1: Array) -> _Complete:
     K = jnp.pi / (a + b)  # DLMF 19.8.5
     # From DLMF 19.8.6; the first term of the sum is accurate for small m.
     over_m = 2 * m * first**2 + total / jnp.maximum(m, 1e-30)
-    D, B = K * (1 + over_m) / 2, K * (1 - over_m) / 2
+    D = K * (1 + over_m) / 2
+    B = K * (1 - over_m) / 2
     G = K * (2 * first**2 + total / jnp.maximum(m, 1e-30) ** 2)
     return _Complete(B, m1 * D, D, G)
 
@@ -65,13 +70,14 @@ def _complete(m: Array, m1: Array) -> _Complete:
 def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
     m, m1 = inputs
     integrals = _complete(m, m1)
-    D, G = integrals.D, integrals.G
+    D = integrals.D
+    G = integrals.G
     # From DLMF 19.4.1-2.
     small = m < _SMALL_M
-    slope = (D - 4 * G + 3 * m * G) / (2 * jnp.where(small, 1.0, m) * m1)
-    dG = jnp.where(small, jnp.pi / 16 * (3 / 4 + 75 / 64 * m), slope)
-    slopes = (G / 2, -(D + G) / 2, (D - G) / (2 * m1), dG)
-    return integrals, _Complete(*(slope * tangents[0] for slope in slopes))
+    dG = (D - 4 * G + 3 * m * G) / (2 * jnp.where(small, 1.0, m) * m1)
+    dG = jnp.where(small, jnp.pi / 16 * (3 / 4 + 75 / 64 * m), dG)
+    by_m = _Complete(B=G / 2, H=-(D + G) / 2, D=(D - G) / (2 * m1), G=dG)
+    return integrals, _Complete(*(slope * tangents[0] for slope in by_m))
 
 
 class Means(NamedTuple):
@@ -100,19 +106,23 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     s = jnp.where(u >= 0, 1.0, -1.0)
     au = s * u
     translating = v >= au
-    larger, smaller = jnp.where(translating, v, au), jnp.where(translating, au, v)
+    larger = jnp.where(translating, v, au)
+    smaller = jnp.where(translating, au, v)
     moving = larger > 0
     scale = jnp.where(moving, 1 / jnp.where(moving, larger, 1.0), 0.0)
     q = smaller * scale
-    V, U = v * scale, au * scale
+    V = v * scale
+    U = au * scale
     m = q * q
     m1 = jnp.maximum((1 - q) * (1 + q), _MIN_M1)
     factor = jnp.where(moving, 1 / jnp.pi, 0.0)
-    B, H, D, G = (factor * part for part in _complete(m, m1))
+    B, H, D, G = (factor * integral for integral in _complete(m, m1))
     # Of 1, c, c^2 over rho, odd in eta.
-    odd_1, odd_c, odd_cc = (
-        part * (1 / jnp.pi) for part in (1.0, q * (-1 / 3), 1 / 3 + 2 / 15 * m)
-    )
+    integral_c = q * (-1 / 3)
+    integral_cc = 1 / 3 + 2 / 15 * m
+    odd_1 = 1 / jnp.pi
+    odd_c = integral_c * odd_1
+    odd_cc = integral_cc * odd_1
     # Of c^2, c^3 and (1 - c^2) c over rho, even in eta.
     cc = (B + (2 + m) * D) * (1 / 3)
     c_ss = q * ((1 + m) * (G + 2 * D) * (1 / 15) - 2 / 5 * D)
@@ -135,8 +145,10 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 
 def mean_velocities(v: Array, u: Array) -> tuple[Means, Means]:
-    """Means of the sliding velocity (-u eta, v + u xi) in m/s, as `mean_directions`."""
-    pi, none = jnp.pi, jnp.zeros_like(v)
-    right = Means(one=-u / pi, xi=none, xi_xi=-u / (3 * pi), eta=-u / 4, xi_eta=none)
+    """Means of the sliding velocity (-u eta, v + u xi) of eq. 16 in m/s, to the right
+    and forward, on the front half; on the back half as those of `mean_directions`."""
+    pi = jnp.pi
+    zero = jnp.zeros_like(v)
+    right = Means(one=-u / pi, xi=zero, xi_xi=-u / (3 * pi), eta=-u / 4, xi_eta=zero)
     forward = Means(one=v / 2, xi=u / 4, xi_xi=v / 4, eta=v / pi, xi_eta=u / (3 * pi))
     return right, forward

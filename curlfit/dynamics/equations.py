@@ -40,8 +40,8 @@ from curlfit.numerics.ring_nodes import NodeClustering, singularity_distance
 from curlfit.stone import Stone
 
 STEP = 0.25  # fraction of the shortest time scale, with 1 m or 1 rad remaining
-# of the rates to rest and kink, relative to the others
-_REST_WEIGHT, _KINK_WEIGHT = 1.3, 1.1
+_REST_WEIGHT = 1.3  # of the rate to rest, relative to the other rates
+_KINK_WEIGHT = 1.1  # of the rate to the kink
 _MAX_STEP = 0.6  # fraction of the time to rest
 _MAX_TURN = 1.5  # rad in a step
 _MAX_APPROACH = 0.6  # fraction of the time to the kink, by singularity distance
@@ -53,6 +53,7 @@ _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
 # s, delay of the beginning and end of sweeping, so that steps can end there
 _SWITCH = 1e-9
 _MIN_SPIN = 1e-8  # rad/s, down to which the end of the spin is resolved
+_SLOWEST_DECAY = 1e-9  # 1/s, in place of a rate of decay that is zero or negative
 
 
 class State(NamedTuple):
@@ -70,10 +71,11 @@ def _decay_rate(law: Law, stone: Stone, state: State, rate: State) -> Array:
     """Inverse of the time to rest, from the loss of kinetic energy, 1/s; 0 for a
     stone at rest."""
     # Under a net law there is no spin without translation.
-    inertia = 0.0 if isinstance(law, NetLaw) else stone.rho**2
-    square = state.v**2 + inertia * state.omega**2
-    power = -(state.v * rate.v + inertia * state.omega * rate.omega)
-    return jnp.where(power > 0, power, 0.0) / jnp.where(square > 0, square, 1.0)
+    square_radius = 0.0 if isinstance(law, NetLaw) else stone.rho**2
+    # Of the kinetic energy E: 2 E/m and -(dE/dt)/m, whose quotient is |dv/dt|/v.
+    energy = state.v**2 + square_radius * state.omega**2
+    loss = -(state.v * rate.v + square_radius * state.omega * rate.omega)
+    return jnp.where(loss > 0, loss, 0.0) / jnp.where(energy > 0, energy, 1.0)
 
 
 @jax.custom_jvp
@@ -107,7 +109,9 @@ class HeadingFrame(NamedTuple):
             sine = sine * square + (-1) ** n / factorial(2 * n + 1)
             cosine = cosine * square + (-1) ** n / factorial(2 * n)
         sine *= turn
-        s, c = self.s * cosine + self.c * sine, self.c * cosine - self.s * sine
+        # the addition theorems
+        s = self.s * cosine + self.c * sine
+        c = self.c * cosine - self.s * sine
         return HeadingFrame(heading, *_sine_cosine(heading, s, c))
 
     def normalized(self) -> HeadingFrame:
@@ -171,20 +175,27 @@ def rates(
     if forces is not None:
         outer = ExternalForces(*forces)
         swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
+        # a cubic spline of the distance along the throw
         worn = 1 + outer.wear * state.y
         bends = (outer.bend_0, outer.bend_10, outer.bend_20, outer.bend_30)
         for knot, bend in zip(WEAR_KNOTS, bends, strict=True):
             worn = worn + bend * jnp.maximum(state.y - knot, 0.0) ** 3
         factor = jnp.where(swept, outer.sweep, 1.0) * worn
         across = factor * a.xi + c * outer.g_x - s * outer.g_y
-        pull = (
-            followed(across) * (s * outer.g_x + c * outer.g_y) - outer.drag * state.v**2
-        )
+        gravity = followed(across) * (s * outer.g_x + c * outer.g_y)
+        pull = gravity - outer.drag * state.v**2
         a = Accelerations(across, factor * a.eta + pull, factor * a.angular)
     part = followed(a.xi)
     turning = part * a.xi / jnp.where(moving, state.v, 1.0)
     along = part * state.v
-    return State(along * s, along * c, state.omega, turning, a.eta, a.angular)
+    return State(
+        x=along * s,
+        y=along * c,
+        phi=state.omega,
+        heading=turning,
+        v=a.eta,
+        omega=a.angular,
+    )
 
 
 def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array, Array]:
@@ -193,7 +204,11 @@ def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array,
     turns = (state.omega != 0) & (not isinstance(law, NetLaw))
     moving = (state.v > 0) | turns
     square = jnp.where(moving, state.v**2 + state.omega**2, 1.0)
-    return moving, jnp.sqrt(square) / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
+    return moving, jnp.sqrt(square) / _positive(decay_rate)
+
+
+def _positive(decay_rate: Array) -> Array:
+    return jnp.where(decay_rate > _SLOWEST_DECAY, decay_rate, _SLOWEST_DECAY)
 
 
 def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
@@ -214,12 +229,15 @@ def step_size(
     time: Array,
 ) -> Array:
     """Length of the next step in s."""
-    v, u = state.v, stone.R * state.omega
+    v = state.v
+    u = stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
     _, remaining = _remaining_motion(law, state, decay_rate)
-    au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
+    # the rate of |v - |u||/(v + |u|), the distance to the kink
+    au = jnp.abs(u)
+    au_rate = stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
-    distance_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
+    distance_rate = 2 * jnp.abs(au * rate.v - v * au_rate) / total**2
     # The error of the step across the kink is its square times the remaining motion.
     kink = singularity_distance(v, u) + _KINK / jnp.sqrt(jnp.maximum(remaining, _REST))
     # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt|/(1 + n); the kink is
@@ -276,9 +294,12 @@ def step_size(
 def _time_to_angle(target: Any, state: State, rate: State) -> Array:
     """Time until the angle reaches `target`, for constant angular
     acceleration; or inf."""
+    # all in the sense of the rotation
     sense = jnp.sign(state.omega)
-    spin, gain = sense * state.omega, sense * rate.omega
+    spin = sense * state.omega
+    gain = sense * rate.omega
     angle = sense * (target - state.phi)
+    # of the spin at the target
     square = spin**2 + 2 * gain * angle
     ahead = (angle > _ANGLE_TOLERANCE) & (square > 0)
     root = jnp.sqrt(jnp.where(ahead, square, 1.0))
@@ -301,7 +322,8 @@ class StepState(NamedTuple):
 def second_derivatives(frame: HeadingFrame, state: State, rate: State) -> Array:
     """Second time derivatives of x, y, phi; `frame` is that of the heading."""
     s, c = _sine_cosine(state.heading, frame.s, frame.c)
-    along, across = rate.v, state.v * rate.heading
+    along = rate.v
+    across = state.v * rate.heading
     return jnp.stack([along * s + across * c, along * c - across * s, rate.omega])
 
 
@@ -311,23 +333,18 @@ def extrapolated_rest(
     """x, y, phi and time at rest, shape (4, batch), if speed and spin
     decrease linearly."""
     decay_rate = _decay_rate(law, stone, state, rate)
-    duration = 0.5 / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
+    duration = 0.5 / _positive(decay_rate)  # at the mean speed
     s, c = _sine_cosine(state.heading, frame.s, frame.c)
     rest_rate = decay_rate * (1 + law.steepness())
     decelerating = rest_rate > 0
     turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(state.omega)
     otherwise = jnp.where(state.v + turning > 0, jnp.inf, 0.0)
-    return jnp.stack(
-        [
-            state.x + duration * state.v * s,
-            state.y + duration * state.v * c,
-            state.phi + duration * state.omega,
-            t
-            + jnp.where(
-                decelerating, 1 / jnp.where(decelerating, rest_rate, 1.0), otherwise
-            ),
-        ]
-    )
+    x = state.x + duration * state.v * s
+    y = state.y + duration * state.v * c
+    phi = state.phi + duration * state.omega
+    time_to_rest = 1 / jnp.where(decelerating, rest_rate, 1.0)
+    rest = t + jnp.where(decelerating, time_to_rest, otherwise)
+    return jnp.stack([x, y, phi, rest])
 
 
 def quintic_coefficients(
@@ -341,7 +358,10 @@ def quintic_coefficients(
 ) -> tuple[Array, ...]:
     """Polynomials for x, y, phi over a step of length h, from fields of `StepState` at
     both ends: coefficients by decreasing power of (t - t0)/h, each (3, batch)."""
-    c0, c1, c2 = state_a[:3], h * rate_a[:3], h**2 * (0.5 * second_a)
+    c0 = state_a[:3]
+    c1 = h * rate_a[:3]
+    c2 = h**2 * (0.5 * second_a)
+    # what the parabola from the beginning lacks at the end
     difference = state_b[:3] - (c0 + c1 + c2)
     slope = h * rate_b[:3] - (c1 + 2 * c2)
     curvature = h**2 * (0.5 * second_b) - c2

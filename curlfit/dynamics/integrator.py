@@ -49,8 +49,9 @@ from curlfit.friction import Law, Load, NetLaw
 from curlfit.numerics.ring_nodes import node_clustering
 from curlfit.stone import Stone
 
-_MAX_STEPS = 32_000
+_MAX_STEPS = 32_000  # after which a motion counts as failed
 _WINDOW = 8  # rows interpolated together
+_SHORTEST_SPAN = 1e-9  # s, in place of a duration of 0
 
 # Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself,
 # so that its derivative is also the first of the next step.
@@ -68,8 +69,14 @@ for _stage, _weights in enumerate(
     _TABLEAU[_stage, : len(_weights)] = _weights
 _STAGES = len(_TABLEAU)
 
-Solution = tuple[tuple[Array, ...], Array]
-"""x, y, phi, and vx, vy, omega if requested, at the given times; the time of rest"""
+
+class Solution(NamedTuple):
+    """A motion, or its derivatives."""
+
+    channels: tuple[Array, ...]
+    """x, y, phi, and vx, vy, omega if requested, at the given times"""
+    rest: Array
+    """the time of rest"""
 
 
 class _Dual(NamedTuple):
@@ -81,25 +88,26 @@ class _Dual(NamedTuple):
 
 
 def _map(function: Callable[..., Any], *inputs: _Dual) -> _Dual:
-    """Apply a function of batches to values and tangents."""
-    values = tuple(item.value for item in inputs)
-    if all(item.tangents is None for item in inputs):
+    """A function of batches, at the values and along the tangents of its inputs."""
+    values = tuple(dual.value for dual in inputs)
+    varying = [index for index, dual in enumerate(inputs) if dual.tangents is not None]
+    if not varying:
         return _Dual(function(*values))
-    varying = [index for index, item in enumerate(inputs) if item.tangents is not None]
 
-    def pushforward(tangents: list[Any]) -> Any:
-        def restricted(*arguments: Any) -> Any:
-            full = list(values)
-            for index, value in zip(varying, arguments, strict=True):
-                full[index] = value
-            return function(*full)
+    def of_varying(*arguments: Any) -> Any:
+        full = list(values)
+        for index, value in zip(varying, arguments, strict=True):
+            full[index] = value
+        return function(*full)
 
-        return jax.jvp(
-            restricted, tuple(values[index] for index in varying), tuple(tangents)
-        )
+    def pushforward(direction: list[Any]) -> Any:
+        primals = tuple(values[index] for index in varying)
+        return jax.jvp(of_varying, primals, tuple(direction))
 
     tangents = [inputs[index].tangents for index in varying]
-    return _Dual(*jax.vmap(pushforward, in_axes=-2, out_axes=(None, -2))(tangents))
+    # Values do not depend on the direction, and are computed once for all of them.
+    along_all = jax.vmap(pushforward, in_axes=-2, out_axes=(None, -2))
+    return _Dual(*along_all(tangents))
 
 
 def _weighted_sum(weights: Array, derivatives: _Dual) -> _Dual:
@@ -116,11 +124,11 @@ def _weighted_sum(weights: Array, derivatives: _Dual) -> _Dual:
 def _update(
     whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]
 ) -> _Dual:
+    """A linear change of an array by another one, of values and of tangents alike."""
+    value = function(whole.value, part.value)
     if whole.tangents is None:
-        return _Dual(function(whole.value, part.value))
-    return _Dual(
-        function(whole.value, part.value), function(whole.tangents, part.tangents)
-    )
+        return _Dual(value)
+    return _Dual(value, function(whole.tangents, part.tangents))
 
 
 def _integrate_batch(
@@ -153,42 +161,42 @@ def _integrate_batch(
     omega0 = start.value[1]
     used = ~(times == jnp.inf)
     last = jnp.max(jnp.where(used, times, 0.0), 0) + jnp.zeros_like(omega0)
-    span = jnp.maximum(last, 1e-9)
-    tableau, nodes = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
+    span = jnp.maximum(last, _SHORTEST_SPAN)
+    tableau = jnp.asarray(_TABLEAU)
+    nodes = jnp.asarray(_TABLEAU.sum(1))
     # The speed, and under a net law the spin, end at zero: signs that they must keep.
     sign = jnp.zeros((6, len(omega0))).at[4].set(1.0)
-    sign = sign.at[5].set(jnp.sign(omega0)) if net else sign
+    if net:
+        sign = sign.at[5].set(jnp.sign(omega0))
 
     def increment(begin: Array, dt: Array, mean: Array) -> Array:
         state = begin + dt * mean
         return jnp.where((state * sign > 0) | (sign == 0), state, 0.0)
 
     def advance(step: _Dual) -> _Dual:
+        """The step after a step, by the formula of Dormand and Prince."""
         t, dt, frame, begin, rate, _ = _fields(step)
+        # The nodes of the ring and the frame of the heading are chosen once for all
+        # stages, and need no tangents: the motion does not depend on the choice, but
+        # for the errors of quadrature and series.
         state_before = State(*begin.value)
         clustering = node_clustering(state_before.v, stone.R * state_before.omega)
 
-        def derivative(parameters: Any, state: Array, time: Array) -> State:
+        def derivative(parameters: Any, packed: Array, time: Array) -> State:
             outer = forces(parameters)
-            return rates(
-                *system(parameters),
-                outer,
-                load,
-                frame.value,
-                clustering,
-                State(*state),
-                time,
-            )
+            law, stone = system(parameters)
+            state = State(*packed)
+            return rates(law, stone, outer, load, frame.value, clustering, state, time)
 
         # A loop over the stages, rather than six copies, keeps the compiled
         # program small.
         def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
             _, derivatives = carry
-            state = _map(
-                increment, begin, dt, _weighted_sum(tableau[index], derivatives)
-            )
+            mean = _weighted_sum(tableau[index], derivatives)
+            state = _map(increment, begin, dt, mean)
             time = _map(lambda t, dt: t + dt * nodes[index], t, dt)
             stage_rate = _map(derivative, parameters, state, time)
+            # Rows are written one by one, since XLA is slow to stack them.
             for row in range(len(State._fields)):
 
                 def write(whole: Array, part: Array, row: int = row) -> Array:
@@ -208,17 +216,16 @@ def _integrate_batch(
 
     def step_state(t: _Dual, frame: HeadingFrame, state: _Dual, rate: _Dual) -> _Dual:
         """The state at the end of a step, with the length of the next."""
-        ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (
-            t.value > last
-        )
+        resting = at_rest(law, stone, State(*state.value), State(*rate.value))
+        ended = resting | (t.value > last)
 
         def length(
             parameters: Any, t: Array, packed: Array, packed_rate: Array
         ) -> Array:
-            state, rate = State(*packed), State(*packed_rate)
-            dt = step_size(
-                *system(parameters), forces(parameters), span, state, rate, t
-            )
+            state = State(*packed)
+            rate = State(*packed_rate)
+            law, stone = system(parameters)
+            dt = step_size(law, stone, forces(parameters), span, state, rate, t)
             return jnp.where(ended, 0.0, dt)
 
         def second(packed: Array, packed_rate: Array) -> Array:
@@ -227,19 +234,20 @@ def _integrate_batch(
         dt = _map(length, parameters, t, state, rate)
         return _step(t, dt, _Dual(frame), state, rate, _map(second, state, rate))
 
-    orders = 2 if velocities else 1
-    window = min(_WINDOW, len(times))
-    rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
-
     def rest_of(step: _Dual) -> _Dual:
+        """x, y, phi and time at rest, extrapolated from the state of a step."""
         t, _, frame, state, rate, _ = _fields(step)
 
-        def rest(parameters: Any, t: Array, state: Array, rate: Array) -> Array:
-            return extrapolated_rest(
-                *system(parameters), t, frame.value, State(*state), State(*rate)
-            )
+        def rest(parameters: Any, t: Array, packed: Array, packed_rate: Array) -> Array:
+            law, stone = system(parameters)
+            state = State(*packed)
+            rate = State(*packed_rate)
+            return extrapolated_rest(law, stone, t, frame.value, state, rate)
 
         return _map(rest, parameters, t, state, rate)
+
+    window = min(_WINDOW, len(times))
+    rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
 
     def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, before, _, first, out = carry
@@ -257,13 +265,15 @@ def _integrate_batch(
     frame = _Dual(HeadingFrame(zero, zero, 1 + zero))
     state = _map(lambda start: jnp.stack([*(0 * start[0],) * 4, *start]), start)
     rate = _map(lambda state: 0 * state, state)
-    step = _step(
-        still, still, frame, state, rate, _map(lambda state: 0 * state[:3], state)
-    )
-    empty = _map(
-        lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders,
-        start,
-    )
+    second = _map(lambda state: 0 * state[:3], state)
+    step = _step(still, still, frame, state, rate, second)
+
+    orders = 2 if velocities else 1  # positions, and their time derivatives
+
+    def unfilled(start: Array) -> tuple[Array, ...]:
+        return (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders
+
+    empty = _map(unfilled, start)
     # Part of the carry, since XLA would otherwise recompute it for each of the times.
     rest = _map(lambda state: state[:4], state)
     _, step, rest, _, out = jax.lax.while_loop(
@@ -274,8 +284,10 @@ def _integrate_batch(
     constant |= ~used
 
     def channels(rest: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
-        position = (jnp.where(used, coordinate, 0.0) for coordinate in rest[:3])
-        final: tuple[Any, ...] = (*position, 0.0, 0.0, 0.0)
+        """The rows, with the place of rest where the stone is at rest, and 0 where they
+        are unused."""
+        place = [jnp.where(used, coordinate, 0.0) for coordinate in rest[:3]]
+        final: list[Any] = [*place, 0.0, 0.0, 0.0]
         moving = (channel for order in out for channel in order)
         return tuple(
             jnp.where(constant, end, channel[: len(times)])
@@ -298,8 +310,9 @@ def _fill_rows(
 
     Parameters
     ----------
-    rows : times, shape (n + window, batch or 1). out : a channel array, (3, n + window,
-        batch), for each order of derivatives.
+    a, b : steps, each a `StepState`, at the beginning and at the end.
+    rows : times, shape (n + window, batch or 1).
+    out : a channel array, (3, n + window, batch), for each order of derivatives.
 
     Returns
     -------
@@ -310,15 +323,16 @@ def _fill_rows(
     t1, _, _, *second_end = _fields(b)
     h = _map(lambda t0, t1: jnp.where(t1 > t0, t1 - t0, 1.0), t0, t1)
     coefficients = _map(quintic_coefficients, h, *first_end, *second_end)
-    begin, end, ended = a.value.t, b.value.t, ~_active(b.value)
+    begin = a.value.t
+    end = b.value.t
+    ended = ~_active(b.value)
     reach = jnp.where(_active(a.value), end, -jnp.inf)
     orders = len(out.value)
 
     def within_step(carry: tuple[Array, Array, _Dual]) -> Array:
         index, *_ = carry
-        return (
-            jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach
-        ).any()
+        row = jax.lax.dynamic_index_in_dim(rows, index, keepdims=False)
+        return (row <= reach).any()
 
     def fill_window(carry: tuple[Array, Array, _Dual]) -> tuple[Array, Array, _Dual]:
         index, first, out = carry
@@ -331,11 +345,15 @@ def _fill_rows(
             new = jnp.where(mask, part, old)
             return jax.lax.dynamic_update_slice_in_dim(whole, new, index, 1)
 
-        out = _update(
-            out,
-            _map(lambda t0, h, of: quintic(t0, h, of, t)[:orders], t0, h, coefficients),
-            lambda *pair: jax.tree.map(write, *pair),
-        )
+        def interpolated(t0: Array, h: Array, polynomials: Any) -> tuple[Array, ...]:
+            return quintic(t0, h, polynomials, t)[:orders]
+
+        def write_orders(whole: Any, part: Any) -> Any:
+            return jax.tree.map(write, whole, part)
+
+        new_rows = _map(interpolated, t0, h, coefficients)
+        out = _update(out, new_rows, write_orders)
+        # Rows at the end of the step are left to the next step, unless there is none.
         complete = (~(t >= end) | ended).all(1)
         first = jnp.where(first == index, first + jnp.cumprod(complete).sum(), first)
         return index + window, first, out
@@ -344,21 +362,22 @@ def _fill_rows(
 
 
 def _fields(step: _Dual) -> list[_Dual]:
+    """The fields of a `StepState`, each with its tangents."""
     tangents = (None,) * len(step.value) if step.tangents is None else step.tangents
     return [_Dual(*pair) for pair in zip(step.value, tangents, strict=True)]
 
 
 def _step(*fields: _Dual) -> _Dual:
-    """A step from its fields, not all of which need tangents."""
-    tangents = StepState(*(item.tangents for item in fields))
-    known = any(item is not None for item in tangents)
-    return _Dual(
-        StepState(*(item.value for item in fields)), tangents if known else None
-    )
+    """A `StepState` from its fields, not all of which need tangents."""
+    value = StepState(*(field.value for field in fields))
+    if all(field.tangents is None for field in fields):
+        return _Dual(value)
+    return _Dual(value, StepState(*(field.tangents for field in fields)))
 
 
 def _row(rows: _Dual, index: int) -> _Dual:
-    return _Dual(*(part if part is None else part[index] for part in rows))
+    value = rows.value[index]
+    return _Dual(value, None if rows.tangents is None else rows.tangents[index])
 
 
 def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -392,22 +411,25 @@ def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
         def split(array: Array) -> Array:
             return jnp.moveaxis(array.reshape(*array.shape[:-1], size, batch), -2, 0)
 
-        last = len(arrays) - 1  # the times
-        pairs = enumerate(zip(arrays, mapped, strict=True))
-        out = of_batch(
-            *(merge(array, is_mapped, i == last) for i, (array, is_mapped) in pairs)
-        )
+        *inputs, times = arrays
+        *mapped_inputs, mapped_times = mapped
+        merged = [
+            merge(array, is_mapped, may_broadcast=False)
+            for array, is_mapped in zip(inputs, mapped_inputs, strict=True)
+        ]
+        out = of_batch(*merged, merge(times, mapped_times, may_broadcast=True))
         return jax.tree.map(split, out), jax.tree.map(lambda _: True, out)
 
     def of_one(*arrays: Array) -> Any:
-        return jax.tree.map(
-            lambda a: a[..., 0], of_batch(*(array[:, None] for array in arrays))
-        )
+        out = of_batch(*(array[:, None] for array in arrays))
+        return jax.tree.map(lambda array: array[..., 0], out)
 
     return of_one
 
 
 def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Solution:
+    """A batch of motions; `arrays` are the inputs of `integrate` and the times, with
+    the batch as the last axis."""
     *constants, start, times = arrays
     path, rest = _integrate_batch(
         lambda parameters: (law.from_vector(parameters[0]), Stone(*parameters[1])),
@@ -418,7 +440,7 @@ def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Sol
         load=load,
         velocities=velocities,
     )
-    return path.value, rest.value
+    return Solution(path.value, rest.value)
 
 
 def _forces_in(constants: Sequence[Array]) -> Array | None:
@@ -433,33 +455,36 @@ def _values_and_jacobian(
     active: tuple[bool, ...],
     *arrays: Array,
 ) -> tuple[Solution, Solution]:
-    """A motion, and its derivatives with respect to the active inputs, along the axis
-    before the batch."""
+    """A batch of motions, and their derivatives with respect to the active inputs,
+    along the axis before the batch; `arrays` as in `_values`."""
     *inputs, times = arrays
-    sizes = [
-        len(vector) * is_active
-        for is_active, vector in zip(active, inputs, strict=True)
-    ]
-    batch, total, offset = inputs[0].shape[-1], sum(sizes), 0
+    batch = inputs[0].shape[-1]
+    total = sum(
+        len(vector)
+        for vector, is_active in zip(inputs, active, strict=True)
+        if is_active
+    )
+    # one direction for each element of the active inputs, in order
     duals = []
-    for size, vector in zip(sizes, inputs, strict=True):
+    offset = 0
+    for vector, is_active in zip(inputs, active, strict=True):
         basis = np.zeros((len(vector), total, 1))
-        basis[:size, offset : offset + size, 0] = np.eye(size)
-        offset += size
-        duals.append(
-            _Dual(vector, jnp.broadcast_to(basis, (len(vector), total, batch)))
-        )
+        if is_active:
+            basis[:, offset : offset + len(vector), 0] = np.eye(len(vector))
+            offset += len(vector)
+        tangents = jnp.broadcast_to(basis, (len(vector), total, batch))
+        duals.append(_Dual(vector, tangents))
     *constants, start = duals
     free = [
-        item for is_active, item in zip(active, constants, strict=False) if is_active
+        index for index, is_active in enumerate(active[: len(constants)]) if is_active
     ]
 
     def unpacked(parameters: list[Array]) -> list[Array]:
-        remaining = iter(parameters)
-        return [
-            next(remaining) if is_active else item.value
-            for is_active, item in zip(active, constants, strict=False)
-        ]
+        """All constants, from those that are active."""
+        vectors = [dual.value for dual in constants]
+        for index, vector in zip(free, parameters, strict=True):
+            vectors[index] = vector
+        return vectors
 
     def system(parameters: list[Array]) -> tuple[Law, Stone]:
         coefficients, stone, *_ = unpacked(parameters)
@@ -468,14 +493,14 @@ def _values_and_jacobian(
     def forces(parameters: list[Array]) -> Array | None:
         return _forces_in(unpacked(parameters))
 
-    parameters = _Dual(
-        [item.value for item in free],
-        [item.tangents for item in free] if free else None,
-    )
+    values = [constants[index].value for index in free]
+    tangents_of_free = [constants[index].tangents for index in free]
+    parameters = _Dual(values, tangents_of_free if free else None)
     path, rest = _integrate_batch(
         system, forces, parameters, start, times=times, load=load, velocities=velocities
     )
-    return (path.value, rest.value), (path.tangents, rest.tangents)
+    jacobian = Solution(path.tangents, rest.tangents)
+    return Solution(path.value, rest.value), jacobian
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
@@ -508,28 +533,31 @@ def _integrate_jvp(
     primals: tuple[Any, ...],
     tangents: tuple[Any, ...],
 ) -> tuple[Solution, Solution]:
+    """The derivatives of all outputs along a direction, from the Jacobian, which is
+    computed once for any number of directions."""
     inputs, times = primals
     d_inputs, d_times = tangents
     active = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
     if any(active):
         function = partial(_values_and_jacobian, law, load, velocities, active)
         out, jacobian = _mappable(function)(*inputs, times)
-        pairs = zip(active, d_inputs, strict=True)
         direction = jnp.concatenate(
-            [tangent for is_active, tangent in pairs if is_active]
+            [d for d, is_active in zip(d_inputs, active, strict=True) if is_active]
         )
-        d_path, d_rest = jax.tree.map(lambda part: part @ direction, jacobian)
+        change = jax.tree.map(lambda part: part @ direction, jacobian)
     else:
         out = _mappable(partial(_values, law, load, velocities))(*inputs, times)
-        d_path, d_rest = jax.tree.map(jnp.zeros_like, out)
+        change = jax.tree.map(jnp.zeros_like, out)
     if not isinstance(d_times, SymbolicZero):
         if not velocities:
             raise TypeError("derivatives with respect to the times need the velocities")
-        d_positions = (
-            d + rate * d_times for d, rate in zip(d_path, out[0][3:], strict=False)
+        d_positions = change.channels[:3]
+        velocity = out.channels[3:]
+        d_positions = tuple(
+            d + rate * d_times for d, rate in zip(d_positions, velocity, strict=True)
         )
-        d_path = (*d_positions, *d_path[3:])
-    return out, (d_path, d_rest)
+        change = change._replace(channels=(*d_positions, *change.channels[3:]))
+    return out, change
 
 
 integrate.defjvp(_integrate_jvp, symbolic_zeros=True)

@@ -9,8 +9,8 @@ hyperbolic tangent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, TypeVar
 
 import jax
@@ -19,19 +19,20 @@ import numpy as np
 from jax import Array
 
 from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
-from curlfit.friction.base import arctan, exp, on_new_law
+from curlfit.friction.base import arctan, exp, on_new_law, ring_points
 from curlfit.stone import Stone
 
+AnyLaw = TypeVar("AnyLaw", bound=Law)
 UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
-# mantissas lie between this and sqrt(2)
+# the bits of sqrt(1/2), between which and sqrt(2) mantissas lie
 _ROOT_HALF = np.float64(0.5**0.5).view(np.int64)
 _MANTISSA_BITS = 52
-AnyLaw = TypeVar("AnyLaw", bound=Law)
 _TERMS = 11  # of the series: exact to rounding for these mantissas
 
 
 def _register(law: type[Law]) -> None:
-    names = [item.name for item in law.coefficients()]
+    """Make a law a pytree of its coefficients."""
+    names = [coefficient.name for coefficient in law.coefficients()]
     # Not `register_dataclass`: jaxlib 0.10 treats the structures of two dataclasses
     # with the same number of fields as equal, so that `jit` may run the program of one
     # law for another.
@@ -42,11 +43,11 @@ def _register(law: type[Law]) -> None:
     )
 
 
-def _derived(kind: type[Law]) -> set[type[Law]]:
-    return {kind}.union(*(_derived(law) for law in kind.__subclasses__()))
+def _with_subclasses(kind: type[Law]) -> set[type[Law]]:
+    return {kind}.union(*(_with_subclasses(law) for law in kind.__subclasses__()))
 
 
-for _law in _derived(Law) - {Law}:
+for _law in _with_subclasses(Law) - {Law}:
     _register(_law)
 on_new_law.append(_register)
 jax.tree_util.register_dataclass(
@@ -57,11 +58,15 @@ jax.tree_util.register_dataclass(
 @jax.custom_jvp
 def log(number: Array) -> Array:
     """Natural logarithm of 0 < `number` < inf, else NaN."""
+    # The bits of a float are those of its exponent before those of its mantissa, so
+    # that the exponent counts the powers of 2 between the number and sqrt(1/2).
     bits = jax.lax.bitcast_convert_type(number, jnp.int64)
     exponent = (bits - _ROOT_HALF) >> _MANTISSA_BITS
     mantissa = jax.lax.bitcast_convert_type(bits - (exponent << _MANTISSA_BITS), float)
+    # log(mantissa) = 2 artanh(z) = 2 (z + z^3/3 + z^5/5 + ...), DLMF 4.6.4
     z = (mantissa - 1) / (mantissa + 1)
-    square, series = z * z, jnp.zeros_like(z)
+    square = z * z
+    series = jnp.zeros_like(z)
     for n in reversed(range(_TERMS)):
         series = series * square + 2 / (2 * n + 1)
     valid = (number > 0) & (number < jnp.inf)
@@ -70,8 +75,8 @@ def log(number: Array) -> Array:
 
 @log.defjvp
 def _(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
-    (number,), (tangent,) = primals, tangents
-    return log(number), tangent / number
+    number = primals[0]
+    return log(number), tangents[0] / number
 
 
 @power.register(jax.core.Tracer)
@@ -86,62 +91,59 @@ exp.register(jax.core.Tracer, jnp.exp)
 def depends_on(function: Callable[..., Any], *inputs: Any) -> list[bool]:
     """Which inputs the outputs of a function depend on."""
     jaxpr = jax.make_jaxpr(function)(*inputs).jaxpr
-    used = {id(item) for item in jaxpr.outvars}
+    # From the outputs back through the operations; variables by identity, since
+    # literals among them cannot be hashed.
+    used = {id(variable) for variable in jaxpr.outvars}
     for equation in reversed(jaxpr.eqns):
-        if any(id(item) in used for item in equation.outvars):
-            used |= {id(item) for item in equation.invars}
+        if any(id(variable) in used for variable in equation.outvars):
+            used |= {id(variable) for variable in equation.invars}
     return [id(variable) in used for variable in jaxpr.invars]
 
 
 def depends_on_load(law: LocalLaw, points: RingPoint) -> bool:
     """Whether the traction per unit load depends on the load."""
-    (dependent,) = depends_on(
-        lambda load: law.traction(points._replace(load=load)), points.load
-    )
-    return dependent
+
+    def traction(load: Array) -> Any:
+        return law.traction(points._replace(load=load))
+
+    return depends_on(traction, points.load)[0]
 
 
 def depends_on_turned_and_time(law: Law, stone: Stone) -> list[bool]:
     """Whether friction depends on the angle turned, and on the time since release."""
+    unit = jnp.ones(())
+    law = jax.tree.map(lambda coefficient: unit, law)
 
     def friction(turned: Array, time: Array) -> Any:
         if isinstance(law, NetLaw):
-            return law.accelerations(Motion(one, one, turned, time), stone)
+            return law.accelerations(Motion(unit, unit, turned, time), stone)
         assert isinstance(law, LocalLaw)
-        return law.traction(UNIT_POINT._replace(turned=turned, time=time)), law.edges(
-            turned
-        )
+        point = UNIT_POINT._replace(turned=turned, time=time)
+        return law.traction(point), law.edges(turned)
 
-    one = jnp.ones(())
-    law = jax.tree.map(lambda leaf: jnp.ones(()), law)
-    return depends_on(friction, one, one)
+    return depends_on(friction, unit, unit)
 
 
-def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool:
-    """Whether a function is a constant matrix times its first `size` inputs, for all
-    values of the other inputs, the parameters."""
-    one: Any = np.ones(())
-    inputs = (one,) * (size + parameters)
+def _is_proportional(function: Callable[..., Any], parameters: int) -> bool:
+    """Whether a function of numbers is a constant times its first input, whatever the
+    other inputs, of which there are `parameters`."""
+    unit: Any = np.ones(())
+    others = (unit,) * parameters
 
-    def derivative(*values: Array) -> Any:
-        restricted = lambda *first: function(*first, *values[size:])  # noqa: E731
-        return jax.jvp(restricted, values[:size], inputs[:size])[1]
+    def derivative(first: Array, *others: Array) -> Any:
+        return jax.jvp(lambda value: function(value, *others), (first,), (unit,))[1]
 
     with jax.ensure_compile_time_eval():
-        at_zero = jax.tree.leaves(
-            function(*(0 * one for _ in range(size)), *inputs[size:])
-        )
-        affine = any(float(part) for part in at_zero)
-    if affine or any(depends_on(derivative, *inputs)):
+        at_zero = float(function(0 * unit, *others))
+    if at_zero != 0 or any(depends_on(derivative, unit, *others)):
         return False
-    return not any(depends_on(function, *inputs)[size:])
+    return not any(depends_on(function, unit, *others)[1:])
 
 
 def example_law(kind: type[AnyLaw]) -> AnyLaw:
     """A law whose coefficients all differ."""
-    return kind.from_vector(
-        [0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())]
-    )
+    count = len(kind.coefficients())
+    return kind.from_vector([0.1 + 0.01 * index for index in range(count)])
 
 
 def has_edges(kind: type[LocalLaw]) -> bool:
@@ -153,27 +155,10 @@ def has_edges(kind: type[LocalLaw]) -> bool:
 def sample_points(front: float) -> RingPoint:
     """Points on one half of the ring in several motions, as NumPy arrays; those on the
     other half are their mirror images."""
-    v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
+    v = np.array([[1.1], [0.3], [2.3]])
+    u = np.array([[-0.6], [0.15], [1.7]])
     angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
-    xi, eta = np.cos(angle), np.sin(angle)
-    slide_xi, slide_eta = -u * eta, v + u * xi
-    speed = np.hypot(slide_xi, slide_eta)
-    return RingPoint(
-        xi,
-        eta,
-        angle,
-        front,
-        slide_xi,
-        slide_eta,
-        speed,
-        slide_xi / speed,
-        slide_eta / speed,
-        np.ones_like(speed),
-        v,
-        u,
-        0.7 * v,
-        3.1 * v,
-    )
+    return ring_points(angle, v, u, 0.7 * v, 3.1 * v, front=front)
 
 
 def _close(a: Any, b: Any) -> bool:
@@ -187,19 +172,28 @@ def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
     law = example_law(kind)
     if load != Load.UNIFORM or has_edges(kind):
         return False
-    names = ("e_xi", "slide_xi", "eta", "angle", "front")  # differ between the halves
+    # The variables that differ between the halves. The force along the motion must
+    # not depend on them, and that across be proportional to e_xi alone.
+    names = ("e_xi", "slide_xi", "eta", "angle", "front")
 
-    def traction(part: int, *values: Array) -> Any:
-        return law.traction(
-            UNIT_POINT._replace(**dict(zip(names, values, strict=True)))
-        )[part]
+    def traction_at(values: Sequence[Array]) -> tuple[Any, Any]:
+        point = UNIT_POINT._replace(**dict(zip(names, values, strict=True)))
+        return law.traction(point)
+
+    def across(*values: Array) -> Any:
+        return traction_at(values)[0]
+
+    def along(*values: Array) -> Any:
+        return traction_at(values)[1]
 
     try:
-        dependences = depends_on(partial(traction, 1), *(np.ones(()) for _ in names))
-        if any(dependences) or not _is_linear(partial(traction, 0), 1, len(names) - 1):
+        if any(depends_on(along, *(np.ones(()) for _ in names))):
+            return False
+        if not _is_proportional(across, len(names) - 1):
             return False
     except TypeError:  # a law that converts `front` to a Python number
         return False
     with jax.ensure_compile_time_eval():
-        front, back = (law.traction(sample_points(half)) for half in (1.0, 0.0))
-        return _close(front[0], -np.asarray(back[0])) and _close(front[1], back[1])
+        front_xi, front_eta = law.traction(sample_points(1.0))
+        back_xi, back_eta = law.traction(sample_points(0.0))
+        return _close(front_xi, -np.asarray(back_xi)) and _close(front_eta, back_eta)

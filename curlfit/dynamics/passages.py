@@ -63,74 +63,92 @@ def with_passages(
         rest otherwise.
     """
     motion = partial(trajectory, law, stone, forces, start, load=load)
-    held = jax.lax.stop_gradient((law, stone, forces, start))
-    fixed: Callable[[Array], Trajectory] = partial(trajectory, *held, load=load)
+    constants = jax.lax.stop_gradient((law, stone, forces, start))
+    motion_without_derivatives: Callable[[Array], Trajectory] = partial(
+        trajectory, *constants, load=load
+    )
     last = jnp.full(1, jnp.where(asked, _AT_REST, 0.0))
+    count = len(lines) + 2
 
     def targets(y_rest: Array) -> Array:
+        """y of each line, or of the edge if it lies beyond, and of two points to either
+        side of the edge."""
         edge = y_rest - _EDGE
-        return jnp.concatenate(
-            [jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])]
-        )
+        near_edge = edge + _NEAR * jnp.array([-1.0, 1.0])
+        return jnp.concatenate([jnp.minimum(lines, edge), near_edge])
 
-    def step(count: Array, t: Array) -> Array:
-        path = fixed(jnp.concatenate([t, last]))
-        aims = targets(path.y[-1])
-        ends = slice(None, len(aims))
+    def search(stage: Array, t: Array) -> Array:
+        """Times to evaluate next, of which the first ones are those of the targets."""
+        path = motion_without_derivatives(jnp.concatenate([t, last]))
+        y = targets(path.y[-1])
+        # first, points of the whole motion, denser toward rest
         duration = jnp.minimum(path.rest, last)
         points = duration * (1 - jnp.linspace(1.0, 0.0, _POINTS) ** 2)
-        between = t.at[ends].set(_reached(aims, path))
-        later = t[ends] + (aims - path.y[ends]) / jnp.maximum(path.vy[ends], _SLOWEST)
-        newton = t.at[ends].set(jnp.maximum(later, 0.0))
-        return jnp.where(count == 0, points, jnp.where(count == 1, between, newton))
+        # then, the times between these; last, a step of Newton's method
+        between = t.at[:count].set(_times_at(y, path))
+        vy = jnp.maximum(path.vy[:count], _SLOWEST)
+        later = t[:count] + (y - path.y[:count]) / vy
+        newton = t.at[:count].set(jnp.maximum(later, 0.0))
+        return jnp.where(stage == 0, points, jnp.where(stage == 1, between, newton))
 
     # One integration in a loop, rather than three, keeps the compiled program small.
-    t = jax.lax.fori_loop(0, 3, step, jnp.zeros(_POINTS))[: len(lines) + 2]
+    t = jax.lax.fori_loop(0, 3, search, jnp.zeros(_POINTS))[:count]
     t = jax.lax.stop_gradient(t)
-    n, crossed = len(times), slice(len(times), len(times) + len(t))
+    # one integration for the rows, the targets, a little later, and rest
     path = motion(jnp.concatenate([times, t, t + _LATER, last]))
-    x, y, phi, vx, vy, speed, omega = (
-        getattr(path, name)[crossed]
-        for name in ("x", "y", "phi", "vx", "vy", "speed", "omega")
-    )
+    n = len(times)
+    crossed = slice(n, n + count)
+    shortly_after = slice(n + count, -1)
     # One more step, with its derivatives: those of the implicit function y(t) = line.
+    x = path.x[crossed]
+    y = path.y[crossed]
+    phi = path.phi[crossed]
+    vx = path.vx[crossed]
+    vy = path.vy[crossed]
+    speed = path.speed[crossed]
+    omega = path.omega[crossed]
     late = (targets(path.y[-1]) - y) / jnp.maximum(vy, _SLOWEST)
-    time, x, phi = t + late, x + vx * late, phi + omega * late
-    speed, omega = (
-        now + late * jax.lax.stop_gradient(after[crossed.stop : -1] - now) / _LATER
-        for now, after in ((speed, path.speed), (omega, path.omega))
-    )
+    time = t + late
+    x = x + vx * late
+    phi = phi + omega * late
+
+    def changed(now: Array, after: Array) -> Array:
+        return now + late * jax.lax.stop_gradient(after - now) / _LATER
+
+    speed = changed(speed, path.speed[shortly_after])
+    omega = changed(omega, path.omega[shortly_after])
+    # A line beyond the edge is taken to be crossed at the speed at the edge.
     slowness = (time[-1] - time[-2]) / (2 * _NEAR)
     beyond = jnp.maximum(lines - (path.y[-1] - _EDGE), 0.0)
     passages = Passages(
-        time[:-2] + beyond * slowness,
-        x[:-2],
-        phi[:-2],
-        speed[:-2],
-        omega[:-2],
-        jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
+        time=time[:-2] + beyond * slowness,
+        x=x[:-2],
+        phi=phi[:-2],
+        speed=speed[:-2],
+        omega=omega[:-2],
+        rest=jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
     )
-    moving = Trajectory(
-        **{
-            name: getattr(path, name)[:n]
-            for name in ("t", "x", "y", "phi", "vx", "vy", "omega")
-        },
-        rest=path.rest,
-    )
-    return moving, passages
+    rows = jax.tree.map(lambda values: values[:n] if values.ndim else values, path)
+    return rows, passages
 
 
-def _reached(targets: Array, path: Trajectory) -> Array:
-    """Times at which y first has these values, by cubic polynomials between points
+def _times_at(targets: Array, path: Trajectory) -> Array:
+    """Times at which y first has some values, by cubic polynomials between points
     of the path."""
     after = jnp.argmax(path.y[1:] >= targets[:, None], 1) + 1
-    (t0, y0, v0), (t1, y1, v1) = (
-        (path.t[k], path.y[k], path.vy[k]) for k in (after - 1, after)
-    )
+    before = after - 1
+    t0 = path.t[before]
+    y0 = path.y[before]
+    v0 = path.vy[before]
+    t1 = path.t[after]
+    y1 = path.y[after]
+    v1 = path.vy[after]
     h = t1 - t0
     h = jnp.where(h > 0, h, 1.0)
     rise = y1 - y0
-    square, cube = 3 * rise - h * (2 * v0 + v1), h * (v0 + v1) - 2 * rise
+    # Hermite's polynomial y0 + h v0 s + square s^2 + cube s^3 in s = (t - t0)/h
+    square = 3 * rise - h * (2 * v0 + v1)
+    cube = h * (v0 + v1) - 2 * rise
     s = jnp.clip((targets - y0) / jnp.where(rise > 0, rise, 1.0), 0.0, 1.0)
     for _ in range(_STEPS):
         excess = y0 + s * (h * v0 + s * (square + s * cube)) - targets

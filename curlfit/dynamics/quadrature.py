@@ -59,16 +59,17 @@ def panels(
     The front and the back half, or the parts divided at the law's jump angles; each
     with arrays of shape `(NODES, *S)`.
     """
-    clustering = node_clustering(v, u) if clustering is None else clustering
+    if clustering is None:
+        clustering = node_clustering(v, u)
     ring = []
     for front in halves:
-        parts = [
-            clustering.half_ring if whole else nodes_between(ends, clustering)
-            for ends, whole in _parts(law, front, turned, clustering)
-        ]
-        ring += [
-            _panel(nodes, front, v, u, turned, time, clustering) for nodes in parts
-        ]
+        parts = _parts(law, front, turned, clustering)
+        if len(parts) == 1:
+            nodes_of_parts = [clustering.half_ring]
+        else:
+            nodes_of_parts = [nodes_between(ends, clustering) for ends in parts]
+        for nodes in nodes_of_parts:
+            ring.append(_panel(nodes, front, v, u, turned, time, clustering))
     return ring
 
 
@@ -76,7 +77,7 @@ def angle_before_edges(
     law: LocalLaw, turned: Array, clustering: NodeClustering, front: float
 ) -> Array:
     """A polar angle on a half between its slowest point and its first edge."""
-    (ends, _), *_ = _parts(law, front, turned, clustering)
+    ends = _parts(law, front, turned, clustering)[0]
     return _angle_between(ends, front, clustering)
 
 
@@ -91,15 +92,13 @@ def parts_beyond_edges(
 ) -> list[tuple[Array, Panel]]:
     """The parts of a half beyond its first edge: for each, a polar angle and the
     Gauss points."""
-    return [
-        (
-            _angle_between(ends, front, clustering),
-            _panel(
-                nodes_between(ends, clustering), front, v, u, turned, time, clustering
-            ),
-        )
-        for ends, _ in _parts(law, front, turned, clustering)[1:]
-    ]
+    beyond = []
+    for ends in _parts(law, front, turned, clustering)[1:]:
+        angle = _angle_between(ends, front, clustering)
+        nodes = nodes_between(ends, clustering)
+        panel = _panel(nodes, front, v, u, turned, time, clustering)
+        beyond.append((angle, panel))
+    return beyond
 
 
 def _panel(
@@ -111,9 +110,13 @@ def _panel(
     time: Array,
     clustering: NodeClustering,
 ) -> Panel:
+    """The points of some nodes on a half, for a stone in motion."""
     side = clustering.side
-    slow, fast = v - side * u, v + side * u
-    # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
+    # speeds of the slowest and of the fastest point; `slow` is negative where the
+    # slowest point slides backward
+    slow = v - side * u
+    fast = v + side * u
+    # v + u xi (eq. 16) and the square of the sliding speed, without cancellation
     slide_eta = slow * nodes.square_cos + fast * nodes.square_sin
     square = slow**2 * nodes.square_cos + fast**2 * nodes.square_sin
     sliding = square > 0
@@ -151,9 +154,9 @@ def _angle_between(
 
 def _parts(
     law: LocalLaw, front: float, turned: Array, clustering: NodeClustering
-) -> list[tuple[tuple[Array, Array], bool]]:
-    """The parts of a half between edges: for each, half the angles from the slowest
-    point at its ends, increasing, and whether it is the whole half."""
+) -> list[tuple[Array, Array]]:
+    """The parts of a half between edges, from the slowest point on, by half the angles
+    from it at their ends; one without edges."""
     jumps = law.edges(turned)
     start = jnp.zeros_like(clustering.side)
     end = start + jnp.pi / 2
@@ -166,4 +169,4 @@ def _parts(
         edges.append(half_angle(from_right, clustering.side))
     if len(edges) > 1:
         edges = list(jnp.sort(jnp.stack(edges), axis=0))
-    return [(ends, not edges) for ends in pairwise((start, *edges, end))]
+    return list(pairwise((start, *edges, end)))

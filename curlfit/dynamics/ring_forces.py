@@ -8,6 +8,7 @@ the ring, and how these change with its motion.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -86,14 +87,13 @@ class Contact(NamedTuple):
             return function(self.laws[0], self.coefficients)
 
         def branch(law: type[LocalLaw]) -> Callable[..., Any]:
-            return lambda *inputs: function(
-                law, inputs[1 : 1 + len(law.coefficients())]
-            )
+            count = len(law.coefficients())
+            return lambda _index, *values: function(law, values[:count])
 
+        # The index is the first coefficient of a family.
         member = jax.lax.stop_gradient(self.coefficients[0]).astype(int).reshape(-1)[0]
-        return jax.lax.switch(
-            _common(member), [*map(branch, self.laws)], *self.coefficients
-        )
+        branches = [branch(law) for law in self.laws]
+        return jax.lax.switch(_common(member), branches, *self.coefficients)
 
 
 @custom_vmap
@@ -112,107 +112,113 @@ def ring_forces(contact: Contact) -> RingForces:
     """Net friction of the ring."""
     ring = contact.ring()
 
-    def forces(law: type[LocalLaw], own: Values) -> RingForces:
-        return forces_of(
-            law.from_vector(own), contact.load, contact.motion, ring, contact.lever
-        )
+    def forces(law: type[LocalLaw], coefficients: Values) -> RingForces:
+        friction = law.from_vector(coefficients)
+        return forces_of(friction, contact.load, contact.motion, ring, contact.lever)
 
-    found: RingForces = contact.of_law(forces)
-    return found
+    net: RingForces = contact.of_law(forces)
+    return net
 
 
 def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slopes]:
     """Derivatives of the net friction under a given load with respect to
-    inputs, by number."""
+    inputs, by number (see `Slopes`), increasing."""
     k = len(contact.coefficients)
     # the index of the member is not a variable
     first = int(issubclass(contact.kind, LawFamily))
-    moving = tuple(number for number in wanted if number in (k, k + 1))
-    own = tuple(number for number in wanted if number >= first and number not in moving)
-    groups = [group for group in (own, moving) if group]
+    # Of the inputs, v and u alone change the ring itself, its points or its means.
+    of_ring = tuple(number for number in wanted if number in (k, k + 1))
+    of_law = tuple(
+        number for number in wanted if number >= first and number not in of_ring
+    )
+    groups = [group for group in (of_law, of_ring) if group]
     if contact.is_summed and contact.motion.v.size > 1:
         # Most inputs enter only a small part; for a single motion, groups make a
         # smaller program.
         groups = [(number,) for group in groups for number in group]
     ring = contact.ring()
-    place = contact.motion.v, contact.motion.u
+    speeds = contact.motion.v, contact.motion.u
 
     def directions(group: tuple[int, ...]) -> Values:
         """Unit directions in the speed of the centre and in that of rotation."""
-        return tuple(part[np.array(group) - k] for part in _each(place))
+        return tuple(part[np.array(group) - k] for part in _unit_directions(speeds))
 
-    changes = {
+    # once for all laws of a family
+    changes_of_sliding = {
         group: _along(
-            lambda v, u: contact.ring(v=v, u=u).sliding, place, directions(group)
+            lambda v, u: contact.ring(v=v, u=u).sliding, speeds, directions(group)
         )
         for group in groups
-        if group[0] in moving
+        if group[0] in of_ring
     }
 
-    def rows(
+    def force(law: LocalLaw, motion: RingMotion, ring: Ring) -> Values:
+        return force_under(law, contact.load, motion, ring, tilt)
+
+    def slopes(
         law: type[LocalLaw], coefficients: Values, group: tuple[int, ...]
     ) -> Values:
-        def force(one: LocalLaw, motion: RingMotion, ring: Ring = ring) -> Values:
-            return force_under(one, contact.load, motion, ring, tilt)
+        if group not in changes_of_sliding:
+            on_ring = partial(force, ring=ring)
+            return _slopes_on_ring(contact, law, coefficients, group, on_ring)
 
-        if group not in changes:
-            return _own_rows(contact, law, coefficients, group, force)
-
-        def moved(sliding: Any, v: Array, u: Array) -> Values:
+        def of_sliding(sliding: Any, v: Array, u: Array) -> Values:
             motion = contact.motion._replace(v=v, u=u)
-            return force(
-                law.from_vector(coefficients), motion, ring.with_sliding(sliding)
-            )
+            friction = law.from_vector(coefficients)
+            return force(friction, motion, ring.with_sliding(sliding))
 
-        changed = changes[group], *directions(group)
-        found: Values = _along(moved, (ring.sliding, *place), changed)
-        return found
+        changes = changes_of_sliding[group], *directions(group)
+        along: Values = _along(of_sliding, (ring.sliding, *speeds), changes)
+        return along
 
-    def all_rows(law: type[LocalLaw], coefficients: Values) -> list[Values]:
-        return [rows(law, coefficients, group) for group in groups]
+    def all_slopes(law: type[LocalLaw], coefficients: Values) -> list[Values]:
+        return [slopes(law, coefficients, group) for group in groups]
 
-    return list(map(Slopes, groups, contact.of_law(all_rows)))
+    return list(map(Slopes, groups, contact.of_law(all_slopes)))
 
 
-def _own_rows(
+def _slopes_on_ring(
     contact: Contact,
     law: type[LocalLaw],
     coefficients: Values,
     numbers: tuple[int, ...],
     force: Callable[[LocalLaw, RingMotion], Values],
 ) -> Values:
-    """Derivatives with respect to inputs of a law, by number; 0 for
-    coefficients it lacks."""
-    first, k = int(issubclass(contact.kind, LawFamily)), len(contact.coefficients)
+    """Derivatives of a force with respect to inputs by number, increasing, while the
+    points of the ring stay; 0 for coefficients of a family that the law lacks."""
+    first = int(issubclass(contact.kind, LawFamily))
+    k = len(contact.coefficients)
     count = len(coefficients)
-    places = [
-        number - first if number < k else number - k + count for number in numbers
-    ]
-    known = [
-        number >= k or place < count
-        for number, place in zip(numbers, places, strict=True)
-    ]
-    own = [place for place, is_known in zip(places, known, strict=True) if is_known]
-    everything = (*coefficients, *contact.motion)
+    inputs = [*coefficients, *contact.motion]
+    # places among these, of the coefficients that the law has and of the motion
+    places = []
+    lacking = 0
+    for number in numbers:
+        if number >= k:
+            places.append(number - k + count)
+        elif number - first < count:
+            places.append(number - first)
+        else:
+            lacking += 1
 
-    def of_values(*values: Array) -> Values:
-        moved = list(everything)
-        for place, value in zip(own, values, strict=True):
+    def force_at(*values: Array) -> Values:
+        moved = list(inputs)
+        for place, value in zip(places, values, strict=True):
             moved[place] = value
         return force(law.from_vector(moved), RingMotion(*moved[count:]))
 
-    inputs = tuple(everything[place] for place in own)
-    rows: Values = (contact.zeros(0),) * 3
-    if own:
-        rows = _along(of_values, inputs, _each(inputs))
-    if all(known):
-        return rows
-    lacking, missing = known.index(False), known.count(False)
-
-    def with_zeros(part: Array) -> Array:
-        return jnp.concatenate([part[:lacking], contact.zeros(missing), part[lacking:]])
-
-    return tuple(map(with_zeros, rows))
+    slopes: Values = (contact.zeros(0),) * 3
+    if places:
+        varied = tuple(inputs[place] for place in places)
+        slopes = _along(force_at, varied, _unit_directions(varied))
+    if not lacking:
+        return slopes
+    # zeros for the coefficients that it lacks, after those that it has
+    before = sum(place < count for place in places)
+    zeros = contact.zeros(lacking)
+    return tuple(
+        jnp.concatenate([part[:before], zeros, part[before:]]) for part in slopes
+    )
 
 
 def _along(
@@ -224,8 +230,8 @@ def _along(
     )
 
 
-def _each(inputs: Values) -> Values:
-    """Unit directions, one for each of several inputs."""
+def _unit_directions(inputs: Values) -> Values:
+    """Directions along each of several inputs, which differ on a first axis."""
     count = len(inputs)
     basis = np.eye(count).reshape(count, count, *(1 for _ in jnp.shape(inputs[0])))
     return tuple(

@@ -22,8 +22,9 @@ from curlfit.friction import Load, LocalLaw, RingPoint
 
 _SAMPLES = 16  # of coefficients and motions, for which terms must cancel
 _LARGE = 1e3  # bound on the sampled coefficients
+_FARTHEST = (np.pi, 40.0)  # rad, of the sampled angles turned: half a turn, a long draw
 _ANGLES = 60  # on half a ring, at which friction between edges must be the same
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # of a term of the moment over the largest, by which terms cancel
 _DIRECTIONS = {(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 0, 1), (0, 1, 1)}
 """Powers of e_xi, e_eta and speed of the terms that have a mean: of a push, a direction
 of sliding and a velocity"""
@@ -63,9 +64,8 @@ class Polynomial:
             raise TypeError("expected a number")
         # Only a zero written in the law itself vanishes; a coefficient may have
         # other values.
-        return cls(
-            {} if type(value) in (int, float) and value == 0 else {Powers(): value}
-        )
+        vanishes = type(value) in (int, float) and value == 0
+        return cls({} if vanishes else {Powers(): value})
 
     def __add__(self, other: Any) -> Polynomial:
         terms = dict(self.terms)
@@ -77,18 +77,18 @@ class Polynomial:
         total = Polynomial({})
         for left, a in self.terms.items():
             for right, b in Polynomial.of(other).terms.items():
-                total += _term(Powers(*map(sum, zip(left, right, strict=True))), a * b)
+                exponents = (i + j for i, j in zip(left, right, strict=True))
+                total += _term(Powers(*exponents), a * b)
         return total
 
     def __truediv__(self, other: Any) -> Polynomial:
         if not isinstance(other, Polynomial):
             return self * (1 / other)
         if len(other.terms) == 1:
-            ((powers, value),) = other.terms.items()
+            powers, value = next(iter(other.terms.items()))
             if powers == Powers(speed=powers.speed, load=powers.load):
-                return self * Polynomial(
-                    {Powers(*(-power for power in powers)): 1 / value}
-                )
+                inverse = Powers(speed=-powers.speed, load=-powers.load)
+                return self * Polynomial({inverse: 1 / value})
         raise TypeError("a polynomial can be divided by a speed or a load only")
 
     def __pow__(self, exponent: int) -> Polynomial:
@@ -121,17 +121,21 @@ class Polynomial:
 
 
 def _term(powers: Powers, value: Any) -> Polynomial:
+    """A term as a polynomial in which eta has no higher power than the first."""
     if powers.eta < 2:
         return Polynomial({powers: value})
-    one = powers._replace(eta=powers.eta - 2)
-    return _term(one, value) + _term(one._replace(xi=one.xi + 2), -value)
+    # eta^n = eta^(n-2) (1 - xi^2)
+    lower = powers._replace(eta=powers.eta - 2)
+    return _term(lower, value) + _term(lower._replace(xi=lower.xi + 2), -value)
 
 
 def _symbol(**powers: int) -> Polynomial:
     return Polynomial({Powers(**powers): 1.0})
 
 
-XI, ETA, _LOAD = _symbol(xi=1), _symbol(eta=1), _symbol(load=1)
+XI = _symbol(xi=1)
+ETA = _symbol(eta=1)
+_LOAD = _symbol(load=1)
 
 
 class Force(NamedTuple):
@@ -147,12 +151,13 @@ class Force(NamedTuple):
         return cls(xi, eta, XI * eta - ETA * xi)
 
     def under(self, load: Any, constant: bool = True) -> Force:
-        """The force under a load; `constant`: whether to include terms
-        independent of it."""
-        return Force(*(_under(part, load, constant) for part in self))
+        """The force under a load, 1 or a polynomial in the position; `constant`:
+        whether to include terms independent of it."""
+        return Force(*(_with_load(part, load, constant) for part in self))
 
 
-def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
+def _with_load(part: Polynomial, load: Any, constant: bool) -> Polynomial:
+    """A polynomial with a load in place of its symbol."""
     total = Polynomial({})
     for powers, value in part.terms.items():
         term = Polynomial({powers._replace(load=0): value})
@@ -170,6 +175,7 @@ def traction(
     a law, `angle` is any angle between them. Raises some exception where it is not
     a polynomial."""
     v, u, turned, time = motion
+    normal_load = 1.0 if load == Load.UNIFORM else _LOAD
     point = RingPoint(
         xi=XI,
         eta=ETA,
@@ -180,15 +186,14 @@ def traction(
         speed=_symbol(speed=1),
         e_xi=_symbol(e_xi=1),
         e_eta=_symbol(e_eta=1),
-        load=1.0 if load == Load.UNIFORM else _LOAD,
+        load=normal_load,
         v=v,
         u=u,
         turned=turned,
         time=time,
     )
-    factor = 1.0 if load == Load.UNIFORM else _LOAD  # traction is per unit load
-    across, along = law.traction(point)
-    return Polynomial.of(across) * factor, Polynomial.of(along) * factor
+    across, along = law.traction(point)  # per unit load
+    return Polynomial.of(across) * normal_load, Polynomial.of(along) * normal_load
 
 
 def has_mean(powers: Powers) -> bool:
@@ -196,11 +201,13 @@ def has_mean(powers: Powers) -> bool:
     return (powers.xi, powers.eta) in _MEANS and powers[2:5] in _DIRECTIONS
 
 
-def mean(part: Polynomial, of: Callable[[Powers], Any]) -> Any:
+def mean(part: Polynomial, mean_of_term: Callable[[Powers], Any]) -> Any:
     """Mean over a part of the ring, from the terms that have one; the others cancel (in
     the moment of `radial`, by `xi^2 + eta^2 = 1`)."""
     return sum(
-        value * of(powers) for powers, value in part.terms.items() if has_mean(powers)
+        value * mean_of_term(powers)
+        for powers, value in part.terms.items()
+        if has_mean(powers)
     )
 
 
@@ -209,30 +216,28 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
 
     Parameters
     ----------
-    means : means of the directions and of the velocities of sliding.
+    means : means of the directions and of the velocities of sliding on the front half,
+        each to the right and forward (`elliptic.Means`).
     """
-    of = (
-        means[powers.speed][powers.e_eta]
-        if powers.e_xi or powers.e_eta
-        else MEAN_PLACES
-    )
-    found = getattr(of, _MEANS[powers.xi, powers.eta])
+    components = MEAN_PLACES
+    if powers.e_xi or powers.e_eta:
+        components = means[powers.speed][powers.e_eta]
+    mean_in_front = getattr(components, _MEANS[powers.xi, powers.eta])
     # The front and the back half slide to opposite sides.
     mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
-    return -found if mirrored else found
+    return -mean_in_front if mirrored else mean_in_front
 
 
 def at_points(point: RingPoint, powers: Powers) -> Any:
     """A term of position and sliding at the points of a part."""
-    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))[
-        powers.speed
-    ]
-    factors = (point.xi, point.eta, *sliding)
-    return prod(
-        value
-        for value, power in zip(factors, powers, strict=False)
-        for _ in range(power)
-    )
+    sliding = (point.e_xi, point.e_eta)
+    if powers.speed:
+        sliding = (point.slide_xi, point.slide_eta)
+    factors = [point.xi] * powers.xi
+    factors += [point.eta] * powers.eta
+    factors += [sliding[0]] * powers.e_xi
+    factors += [sliding[1]] * powers.e_eta
+    return prod(factors)
 
 
 @cache
@@ -243,14 +248,16 @@ def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
     """
     random = np.random.default_rng(0)
     with suppress(Exception):  # a law may do anything with the symbols
-        for farthest in (np.pi, 40.0) * (_SAMPLES // 2):
-            values = [
-                random.uniform(max(item.lower, -_LARGE), min(item.upper, _LARGE), 1)[0]
-                for item in kind.coefficients()
-            ]
-            motion = random.uniform(
-                (0.1, -1.0, -farthest, 0.0), (3.0, 1.0, farthest, 40.0)
-            )
+        for farthest in _FARTHEST * (_SAMPLES // len(_FARTHEST)):
+            values = []
+            for coefficient in kind.coefficients():
+                lower = max(coefficient.lower, -_LARGE)
+                upper = min(coefficient.upper, _LARGE)
+                values.append(random.uniform(lower, upper, 1)[0])
+            # v (m/s), R omega (m/s), angle turned (rad), time (s)
+            lowest = (0.1, -1.0, -farthest, 0.0)
+            highest = (3.0, 1.0, farthest, 40.0)
+            motion = random.uniform(lowest, highest)
             _check(kind.from_vector(values), load, tuple(motion))
         return True
     return False
@@ -262,25 +269,32 @@ def _check(law: LocalLaw, load: Load, motion: tuple[float, ...]) -> None:
     jumps = law.edges(motion[2])
     for front in (1.0, 0.0):
         if not any(jumps):
-            _check_means(traction(law, load, front, None, motion), load)
+            across, along = traction(law, load, front, None, motion)
+            _check_means(across, along, load)
             continue
-        halfway = np.linspace(0, np.pi, _ANGLES + 2)[1:-1]
+        angles = np.linspace(0, np.pi, _ANGLES + 2)[1:-1]
         edges = np.sort(jumps.front if front else jumps.back)
-        parts: dict[int, Any] = {}
-        for angle in halfway if front else -halfway:
+        traction_by_part: dict[int, Any] = {}
+        for angle in angles if front else -angles:
             here = traction(law, load, front, angle, motion)
-            same = parts.setdefault(int(np.searchsorted(edges, angle)), here)
-            if [part.terms for part in same] != [part.terms for part in here]:
-                raise TypeError("friction varies between two edges")
-        for part in parts.values():
-            _check_means(part, load)
+            part = int(np.searchsorted(edges, angle))
+            first = traction_by_part.setdefault(part, here)
+            for component, component_here in zip(first, here, strict=True):
+                if component.terms != component_here.terms:
+                    raise TypeError("friction varies between two edges")
+        for across, along in traction_by_part.values():
+            _check_means(across, along, load)
 
 
-def _check_means(found: tuple[Polynomial, Polynomial], load: Load) -> None:
-    if any(powers.load not in (0, 1) for part in found for powers in part.terms):
-        raise TypeError("expected a load that is linear in n")
+def _check_means(across: Polynomial, along: Polynomial, load: Load) -> None:
+    """Raise TypeError where a traction has a term without a mean in closed form."""
+    for part in (across, along):
+        if any(powers.load not in (0, 1) for powers in part.terms):
+            raise TypeError("expected a load that is linear in n")
+    # the loads of which a consistent one is a sum (eq. 9)
     loads = (1.0,) if load == Load.UNIFORM else (1.0, XI, ETA)
-    for force in (Force.of(*found).under(one) for one in loads):
+    for normal_load in loads:
+        force = Force.of(across, along).under(normal_load)
         size = max(map(abs, force.moment.terms.values()), default=0.0)
         for part in force:
             for powers, value in part.terms.items():

@@ -93,18 +93,21 @@ class Ring(NamedTuple):
     ) -> Ring:
         """The front half suffices if the back half mirrors it for all laws
         that are summed."""
-        laws = [term for law in laws for term in _terms(law, load)]
-        summed = [law for law in laws if not has_closed_form(law, load)]
-        plain = [law for law in summed if not has_edges(law)]
-        means, ring = None, []
-        if any(law not in summed for law in laws):
-            place = motion.v, motion.u
-            means = mean_directions(*place), mean_velocities(*place)
-        if plain:
-            mirrored = all(is_mirror_symmetric(law, load) for law in plain)
+        terms = [term for law in laws for term in _terms(law, load)]
+        summed = [term for term in terms if not has_closed_form(term, load)]
+        without_edges = [term for term in summed if not has_edges(term)]
+        means = None
+        if len(summed) < len(terms):
+            directions = mean_directions(motion.v, motion.u)
+            means = directions, mean_velocities(motion.v, motion.u)
+        shared_panels = []
+        if without_edges:
+            mirrored = all(is_mirror_symmetric(term, load) for term in without_edges)
             halves = (1.0,) if mirrored else (1.0, 0.0)
-            ring = panels(example_law(plain[0]), *motion, clustering, halves=halves)
-        return cls(clustering, means, ring)
+            # The points are the same under any law without edges.
+            law = example_law(without_edges[0])
+            shared_panels = panels(law, *motion, clustering, halves=halves)
+        return cls(clustering, means, shared_panels)
 
     @property
     def sliding(self) -> Any:
@@ -116,33 +119,32 @@ class Ring(NamedTuple):
 
     def with_sliding(self, sliding: Any) -> Ring:
         """The ring in another motion."""
-        means, fields = sliding
-        return self._replace(
-            means=means,
-            panels=[
-                panel._replace(points=panel.points._replace(**there))
-                for panel, there in zip(self.panels, fields, strict=True)
-            ],
-        )
+        means, sliding_of_panels = sliding
+        moved = [
+            panel._replace(points=panel.points._replace(**fields))
+            for panel, fields in zip(self.panels, sliding_of_panels, strict=True)
+        ]
+        return self._replace(means=means, panels=moved)
 
     def panels_of(self, law: LocalLaw, motion: RingMotion) -> list[Panel]:
         """The panels of a law, after an angle turned and a time."""
         if has_edges(type(law)):
             return panels(law, *motion, self.clustering)
-        there = {"turned": motion.turned, "time": motion.time}
         return [
-            panel._replace(points=panel.points._replace(**there))
+            panel._replace(
+                points=panel.points._replace(turned=motion.turned, time=motion.time)
+            )
             for panel in self.panels
         ]
 
 
 def _terms(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
-    """The laws that are summed over the ring each in its own way: those of a sum,
-    or this one."""
-    apart = (
-        issubclass(law, Sum) and load == Load.UNIFORM and not has_closed_form(law, load)
-    )
-    return law.parts if apart else (law,)  # type: ignore[attr-defined]
+    """The laws that are summed over the ring each in its own way: the parts of a sum
+    without a closed form, or the law itself."""
+    # A consistent load balances all parts together.
+    if issubclass(law, Sum) and load == Load.UNIFORM and not has_closed_form(law, load):
+        return law.parts
+    return (law,)
 
 
 def forces_of(
@@ -160,14 +162,9 @@ def forces_of(
     ring_panels = ring.panels_of(law, motion)
     if depends_on_load(law, ring_panels[0].points):
         return _about_balance(law, ring_panels, lever)
-    across, along = (
-        [
-            Panel(points, weight * getattr(points, name))
-            for points, weight in ring_panels
-        ]
-        for name in ("xi", "eta")
-    )
-    return _moments(law, ring_panels), _moments(law, across), _moments(law, along)
+    under_xi = [Panel(points, weight * points.xi) for points, weight in ring_panels]
+    under_eta = [Panel(points, weight * points.eta) for points, weight in ring_panels]
+    return _moments(law, ring_panels), _moments(law, under_xi), _moments(law, under_eta)
 
 
 def force_under(
@@ -178,9 +175,10 @@ def force_under(
         tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
         return _total(_parts_in_closed_form(law, load, motion, ring), motion, tilted)
     if isinstance(law, Sum) and load == Load.UNIFORM:
-        each = [force_under(term, load, motion, ring, tilt) for term in law.terms]
+        forces = [force_under(term, load, motion, ring, tilt) for term in law.terms]
         return tuple(
-            sum(row, start=jnp.zeros_like(motion.v)) for row in zip(*each, strict=True)
+            sum(components, start=jnp.zeros_like(motion.v))
+            for components in zip(*forces, strict=True)
         )
     return _by_quadrature(law, load, ring.panels_of(law, motion), tilt)
 
@@ -189,7 +187,7 @@ class _Part(NamedTuple):
     """A part of the ring: the force at its points, and the means of terms over it."""
 
     force: Force
-    mean: Callable[[Powers], Array]
+    mean_of_term: Callable[[Powers], Array]
 
 
 def _parts_in_closed_form(
@@ -201,16 +199,18 @@ def _parts_in_closed_form(
     parts = []
     for front in (1.0, 0.0):
         half = law, turned, ring.clustering, front
-        angle, beyond = None, []
+        angle = None
+        beyond = []
         if has_edges(type(law)):
             angle = angle_before_edges(*half)
             beyond = parts_beyond_edges(*half, v, u, time)
-        before = traction(law, load, front, angle, motion)
-        parts.append(_Part(Force.of(*before), partial(mean_of_half, ring.means, front)))
+        across_before, along_before = traction(law, load, front, angle, motion)
+        over_half = partial(mean_of_half, ring.means, front)
+        parts.append(_Part(Force.of(across_before, along_before), over_half))
         for angle, panel in beyond:
             across, along = traction(law, load, front, angle, motion)
-            more = Force.of(across - before[0], along - before[1])
-            parts.append(_Part(more, partial(_mean_of_panel, panel)))
+            change = Force.of(across - across_before, along - along_before)
+            parts.append(_Part(change, partial(_mean_of_panel, panel)))
     return parts
 
 
@@ -219,17 +219,19 @@ def _total(
 ) -> Values:
     """Force and moment; `tilted` is the load, with `constant` as in `Force.under`."""
     forces = [part.force.under(tilted, constant) for part in parts]
-    means = (
-        (mean(force[row], part.mean) for force, part in zip(forces, parts, strict=True))
-        for row in range(len(Force._fields))
-    )
-    return tuple(sum(row, start=jnp.zeros_like(motion.v)) for row in means)
+    components = []
+    for row in range(len(Force._fields)):
+        component = jnp.zeros_like(motion.v)
+        for part, force in zip(parts, forces, strict=True):
+            component = component + mean(force[row], part.mean_of_term)
+        components.append(component)
+    return tuple(components)
 
 
 def _mean_of_panel(panel: Panel, powers: Powers) -> Array:
-    return jnp.tensordot(
-        GAUSS_WEIGHTS, panel.weight * at_points(panel.points, powers), 1
-    )
+    """Mean of a term over a part of the ring, by quadrature."""
+    densities = panel.weight * at_points(panel.points, powers)
+    return jnp.tensordot(GAUSS_WEIGHTS, densities, 1)
 
 
 def _by_quadrature(law: LocalLaw, load: Load, ring: list[Panel], tilt: Tilt) -> Values:
@@ -254,36 +256,44 @@ def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
     """Force and moment of the tractions at the points, with their weights (eq. 2)."""
     t_xi = t_eta = moment = 0.0
     for points, weight in ring:
-        along_xi, along_eta = law.traction(points)
-        n_xi, n_eta = weight * along_xi, weight * along_eta
-        t_xi += n_xi
-        t_eta += n_eta
-        moment += points.xi * n_eta - points.eta * n_xi
+        across, along = law.traction(points)
+        force_xi = weight * across
+        force_eta = weight * along
+        t_xi += force_xi
+        t_eta += force_eta
+        moment += points.xi * force_eta - points.eta * force_xi
     return tuple(
         jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment)
     )
 
 
 def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces:
-    """The tangent at the balance; NaN where Newton's method finds none."""
+    """Forces of the tangent at the balance, for a law that depends on the load; NaN
+    where Newton's method finds no balance.
+
+    The balance is differentiated as an implicit function: by the tangent's derivatives
+    at the balance, not through the iterations.
+    """
     leaves, tree = jax.tree.flatten((law, ring))
+    # A function with a derivative of its own takes what it depends on as arguments.
     changing = [number for number, leaf in enumerate(leaves) if isinstance(leaf, Array)]
 
     def tangent(arrays: list[Array], tilt: Array) -> RingForces:
-        """The tangent, as forces under the loads 1, xi and eta."""
-        now = list(leaves)
+        """The tangent at a tilt, as forces under the loads 1, xi and eta."""
+        replaced = list(leaves)
         for number, array in zip(changing, arrays, strict=True):
-            now[number] = array
-        law, ring = jax.tree.unflatten(tree, now)
+            replaced[number] = array
+        law, ring = jax.tree.unflatten(tree, replaced)
 
         def force(tilt: Array) -> Array:
-            return jnp.stack(
-                _by_quadrature(law, Load.CONSISTENT, ring, (tilt[0], tilt[1]))
-            )
+            p_and_q = (tilt[0], tilt[1])
+            return jnp.stack(_by_quadrature(law, Load.CONSISTENT, ring, p_and_q))
 
-        one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
+        ones = jnp.ones_like(tilt[0])
+        zeros = jnp.zeros_like(tilt[0])
         value, slope = jax.linearize(force, tilt)
-        by_p, by_q = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
+        by_p = slope(jnp.stack([ones, zeros]))
+        by_q = slope(jnp.stack([zeros, ones]))
         return tuple(value - tilt[0] * by_p - tilt[1] * by_q), tuple(by_p), tuple(by_q)
 
     @jax.custom_jvp
@@ -293,39 +303,40 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
             forces = tangent(arrays, tilt)
             # an iterate may exceed any admissible load
             after = _solved_tilt(forces, lever)
-            return after, forces, jnp.abs(after - tilt).max(0), count + 1
+            change = jnp.abs(after - tilt).max(0)
+            return after, forces, change, count + 1
 
         def unbalanced(carry: tuple[Any, ...]) -> Array:
             *_, change, count = carry
             return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
 
-        none = jnp.zeros_like(lever)
-        start = (
-            jnp.stack([none, none]),
-            ((none,) * 3,) * 3,
-            none + jnp.inf,
-            jnp.zeros((), int),
-        )
+        zeros = jnp.zeros_like(lever)
+        no_tilt = jnp.stack([zeros, zeros])
+        no_forces = ((zeros,) * 3,) * 3
+        start = (no_tilt, no_forces, zeros + jnp.inf, jnp.zeros((), int))
         _, forces, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
         # The error is the square of this change.
-        unknown = ~(change <= _BALANCE_TOLERANCE)
-        return jax.tree.map(lambda part: jnp.where(unknown, jnp.nan, part), forces)
+        not_found = ~(change <= _BALANCE_TOLERANCE)
+        return jax.tree.map(lambda part: jnp.where(not_found, jnp.nan, part), forces)
 
     @balanced.defjvp
     def _(
         primals: tuple[Any, Any], tangents: tuple[Any, Any]
     ) -> tuple[RingForces, RingForces]:
-        (arrays, lever), (d_arrays, d_lever) = primals, tangents
+        arrays, lever = primals
+        d_arrays, d_lever = tangents
         forces = balanced(arrays, lever)
         tilt = balanced_tilt(forces, lever)
-        at_fixed_tilt = jax.jvp(
-            lambda arrays: tangent(arrays, tilt), (arrays,), (d_arrays,)
-        )[1]
+
+        def at_balance(arrays: list[Array]) -> RingForces:
+            return tangent(arrays, tilt)
+
+        at_fixed_tilt = jax.jvp(at_balance, (arrays,), (d_arrays,))[1]
         d_tilt = jax.jvp(balanced_tilt, (forces, lever), (at_fixed_tilt, d_lever))[1]
         return forces, jax.jvp(tangent, (arrays, tilt), (d_arrays, d_tilt))[1]
 
-    found: RingForces = balanced([leaves[number] for number in changing], lever)
-    return found
+    forces: RingForces = balanced([leaves[number] for number in changing], lever)
+    return forces
 
 
 def balanced_tilt(forces: RingForces, lever: Array) -> Array:
@@ -339,8 +350,13 @@ def balanced_tilt(forces: RingForces, lever: Array) -> Array:
 
 
 def _solved_tilt(forces: RingForces, lever: Array) -> Array:
+    """Solution of eq. 8, (p, q) = -lever (T_xi, T_eta), with forces that are linear in
+    p and q: a p + b q = -f, c p + d q = -g, by Cramer's rule."""
     constant, by_p, by_q = forces
-    f, g = lever * constant[0], lever * constant[1]
-    a, b = 1 + lever * by_p[0], lever * by_q[0]
-    c, d = lever * by_p[1], 1 + lever * by_q[1]
+    f = lever * constant[0]
+    g = lever * constant[1]
+    a = 1 + lever * by_p[0]
+    b = lever * by_q[0]
+    c = lever * by_p[1]
+    d = 1 + lever * by_q[1]
     return -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)

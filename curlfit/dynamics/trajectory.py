@@ -116,12 +116,8 @@ class Trajectory(Displayed):
 
     def _document(self) -> Document:
         shape = jnp.shape(self.x)
-        arrays = [getattr(self, item.name) for item in fields(self)]
-        if (
-            len(shape) != 1
-            or not shape[0]
-            or any(isinstance(x, jax.core.Tracer) for x in arrays)
-        ):
+        is_series = len(shape) == 1 and shape[0] > 0
+        if not is_series or _is_traced(self):
             return Document(finding=f"shape {shape}", subject="motion of a stone")
         units = {
             "t": "s",
@@ -137,12 +133,15 @@ class Trajectory(Displayed):
             columns.append(_series_column(name, unit, series[name]))
         table = Table([_End("first", 0), _End("last", -1)], columns)
         rest = float(self.rest)
-        t, x, y = series["t"], series["x"], series["y"]
+        finding = "does not come to rest"
+        if math.isfinite(rest):
+            finding = f"at rest at {rest:.5g} s"
+        t = series["t"]
+        x = series["x"]
+        y = series["y"]
         ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
         return Document(
-            finding=f"at rest at {rest:.5g} s"
-            if math.isfinite(rest)
-            else "does not come to rest",
+            finding=finding,
             subject=f"motion of a stone at {counted(len(t), 'time')}, "
             f"t = {t[0]:.5g} .. {t[-1]:.5g} s",
             lines=[f"x, y {ends}"],
@@ -151,8 +150,8 @@ class Trajectory(Displayed):
 
     def to_numpy(self) -> Trajectory:
         """The trajectory with NumPy arrays."""
-        arrays: Any = (np.asarray(getattr(self, field.name)) for field in fields(self))
-        return Trajectory(*arrays)
+        arrays: Trajectory = jax.tree.map(np.asarray, self)
+        return arrays
 
 
 jax.tree_util.register_dataclass(
@@ -160,6 +159,11 @@ jax.tree_util.register_dataclass(
     data_fields=[field.name for field in fields(Environment)],
     meta_fields=[],
 )
+
+
+def _is_traced(tree: Any) -> bool:
+    """Whether numbers are symbols of a function that JAX is transforming."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 class _End(NamedTuple):
@@ -209,16 +213,15 @@ def _motion(
     velocities: bool,
 ) -> tuple[list[Array], Array]:
     """x, y, phi, with vx, vy, omega if requested, and the time of rest."""
-    inputs = (
-        jnp.stack(jax.tree.leaves(law)),
-        jnp.stack(jax.tree.leaves(stone)),
-        *(() if forces is None else (forces,)),
-        jnp.stack([start.v, start.omega]),
-    )
-    channels, rest = integrate(type(law), load, velocities, inputs, times)
+    inputs = [jnp.stack(jax.tree.leaves(law)), jnp.stack(jax.tree.leaves(stone))]
+    if forces is not None:
+        inputs.append(forces)
+    inputs.append(jnp.stack([start.v, start.omega]))
+    channels, rest = integrate(type(law), load, velocities, tuple(inputs), times)
     # Friction is homogeneous and isotropic: initial position, heading and angle only
     # translate and rotate the path (u to the right of the initial heading, w along it).
-    s, c = jnp.sin(start.heading), jnp.cos(start.heading)
+    s = jnp.sin(start.heading)
+    c = jnp.cos(start.heading)
     u, w, turned, *rates = channels
     out = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
     if rates:
@@ -240,10 +243,10 @@ def ordered_trajectory(
 ) -> Trajectory:
     """Like `simulate`, for arrays of floats, the `external_forces` or None, and
     non-decreasing times; rows at inf are unused, and are 0."""
-    (x, y, phi, *rates), rest = _motion(
+    channels, rest = _motion(
         law, stone, forces, start, times - t0, load, velocities=True
     )
-    vx, vy, omega = rates
+    x, y, phi, vx, vy, omega = channels
     return Trajectory(
         t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest
     )
@@ -336,20 +339,17 @@ def simulate(
     """
     checked = check_load(load)
     _check_motion(law, start, times)
-    given = (law, stone, start, environment, times, t0)
-    if np.size(times) and not any(
-        isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given)
-    ):
-        return _simulate_known(law, stone, start, times, t0, environment, checked)
+    is_traced = _is_traced((law, stone, start, environment, times, t0))
+    if np.size(times) and not is_traced:
+        return _simulate_numbers(law, stone, start, times, t0, environment, checked)
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
     law, stone, start, environment = jax.tree.map(
         lambda value: jnp.asarray(value, float), (law, stone, start, environment)
     )
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
-    return replace(
-        _surrounded(law, stone, environment, start, finite, t0, checked), t=times
-    )
+    path = _surrounded(law, stone, environment, start, finite, t0, checked)
+    return replace(path, t=times)
 
 
 def _surrounded(
@@ -361,6 +361,7 @@ def _surrounded(
     t0: Array,
     load: Load,
 ) -> Trajectory:
+    """The motion in an environment, for arrays."""
     forces = None
     if environment is not None:
         forces = external_forces(stone, environment, start.heading, t0)
@@ -370,24 +371,21 @@ def _surrounded(
 def _check_motion(law: Law, start: InitialState, times: ArrayLike) -> None:
     """Raise InputError for arrays in place of numbers, and for an impossible start."""
     find_law(type(law))
-    for name, record in (("InitialState", start), (type(law).__name__, law)):
-        for item in fields(record):  # type: ignore[arg-type]
-            value = getattr(record, item.name)
+    for record in (start, law):
+        for field in fields(record):  # type: ignore[arg-type]
+            name = f"{type(record).__name__}.{field.name}"
+            value = getattr(record, field.name)
             if isinstance(value, jax.core.Tracer) and not value.shape:
                 continue
             if np.shape(value):
                 raise InputError(
-                    f"{name}.{item.name} of shape {np.shape(value)} found, "
+                    f"{name} of shape {np.shape(value)} found, "
                     "expected a number; for many motions, `jax.vmap` a function "
                     "that simulates one"
                 )
-            require_kind(
-                value, (Real, np.ndarray, Array), f"{name}.{item.name}", "a number"
-            )
+            require_kind(value, (Real, np.ndarray, Array), name, "a number")
             if record is start and not math.isfinite(value):
-                raise InputError(
-                    f"{name}.{item.name} = {value}: expected a finite number"
-                )
+                raise InputError(f"{name} = {value}: expected a finite number")
     if not isinstance(start.v, jax.core.Tracer) and start.v < 0:
         raise InputError(
             f"InitialState.v = {float(start.v):g} m/s: expected a speed >= 0; "
@@ -397,7 +395,7 @@ def _check_motion(law: Law, start: InitialState, times: ArrayLike) -> None:
         raise InputError(f"times of shape {np.shape(times)} found, expected (n,)")
 
 
-def _simulate_known(
+def _simulate_numbers(
     law: Law,
     stone: Stone,
     start: InitialState,
@@ -406,25 +404,25 @@ def _simulate_known(
     environment: Environment | None,
     load: Load,
 ) -> Trajectory:
-    """The same outside JAX's transformations, by a program that is stored on disk and
+    """`simulate` outside JAX's transformations, by a program that is stored on disk and
     serves any number of rows up to a power of two."""
     t = np.asarray(times, float)
-    # unused rows
-    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)
+    next_power_of_two = 1 << (len(t) - 1).bit_length()
+    padded = np.full(max(_FEWEST_ROWS, next_power_of_two), np.inf)  # unused rows
     padded[: len(t)] = np.where(t == np.inf, _REST_TIME, t)
-    stone, start, environment, coefficients = jax.tree.map(
-        lambda value: np.asarray(value, float),
-        (stone, start, environment, np.array([float(x) for x in jax.tree.leaves(law)])),
+    coefficients = np.array([float(value) for value in jax.tree.leaves(law)])
+    stone, start, environment = jax.tree.map(
+        lambda value: np.asarray(value, float), (stone, start, environment)
     )
     first = t.min() if t0 is None else np.asarray(t0, float)
     path = _padded_trajectory(
         type(law), load, coefficients, stone, environment, start, padded, first
     )
 
-    def own_rows(values: Array) -> Array:
+    def without_padding(values: Array) -> Array:
         return jax.device_put(np.asarray(values)[: len(t)]) if values.ndim else values
 
-    return replace(jax.tree.map(own_rows, path), t=jax.device_put(t))
+    return replace(jax.tree.map(without_padding, path), t=jax.device_put(t))
 
 
 @compiled("law", "load")

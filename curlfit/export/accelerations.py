@@ -39,24 +39,26 @@ from curlfit.numerics.jax_settings import require_jax
 from curlfit.stone import Stone
 from curlfit.version import __version__
 
-SLOWEST, FASTEST = 1e-3, 8.0
+SLOWEST = 1e-3
+FASTEST = 8.0
 """Range of s, m/s; the accelerations are constant beyond it."""
 REST = 1e-4
 """Value of s, m/s, below which a stone is taken to be at rest; it would slide a
 further 0.1 um."""
 _SIZES = ((16, 32), (32, 64), (64, 128))  # intervals of log s and of p
 # for friction that depends on p alone
-_SMALL = tuple((2, columns) for _, columns in _SIZES)
+_SIZES_WITHOUT_SCALE = tuple((2, columns) for _, columns in _SIZES)
 _SCALE_FREE = 1e-9  # relative change with s below which there is none
-_SLOWER = 1e-14  # v/u below which a stone spins in place
+_IN_PLACE = 1e-14  # v/u below which a stone spins in place
 _GOOD = 1e-3  # m, error of the resting positions that is small enough
-_BEST = 1e-2  # m, largest error of the resting positions that is accepted
-# draws: m/s, rad/s
+_ACCEPTED = 1e-2  # m, largest error of the resting positions that is accepted
+# speed (m/s) and spin (rad/s) of the throws whose resting positions are compared
 _DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))
+_LONGEST = 1000  # s, by when a stone is at rest
 _TRIALS = 2000  # random motions at which the interpolation is tested
-STEP, SHARE = 0.05, 0.2
-"""Longest steps of the integration, in s and as a fraction of the remaining
-time to rest."""
+STEP = 0.05  # s, longest step of the integration
+SHARE = 0.2  # of the remaining time to rest, the longest step
+_CHANNELS = ("across", "along", "angular")
 
 
 class Moved(NamedTuple):
@@ -119,12 +121,14 @@ class AccelerationTable:
     def _interpolated(self, row: float, column: float) -> Floats:
         n, k = self.shape
         row = min(max(row, 0.0), float(n))
-        i, j = min(int(row), n - 1), min(int(column), k - 1)
+        i = min(int(row), n - 1)
+        j = min(int(column), k - 1)
+        # the first node of the table lies one interval before row and column 0
         patch = self.values[:, i : i + 4, j : j + 4]
-        found: Floats = np.einsum(
-            "cij,i,j->c", patch, catmull_rom(row - i), catmull_rom(column - j)
-        )
-        return found
+        row_weights = catmull_rom(row - i)
+        column_weights = catmull_rom(column - j)
+        values: Floats = np.einsum("cij,i,j->c", patch, row_weights, column_weights)
+        return values
 
     def step(self, stone: Moved, dt: float, friction: float = 1.0) -> Moved:
         """The stone after `dt` seconds, by the fourth-order Runge-Kutta method.
@@ -133,14 +137,17 @@ class AccelerationTable:
         ----------
         friction : factor on the friction, below 1 for a swept stone.
         """
-        q, R, left = np.array(stone), self.stone.R, dt
+        q = np.array(stone)
+        R = self.stone.R
+        left = dt
         while left > 0:
-            s = math.hypot(q[2], q[3], R * q[5])
+            moving = Moved(*q.tolist())
+            s = math.hypot(moving.vx, moving.vy, R * moving.omega)
             if s < REST:
-                q[[2, 3, 5]] = 0.0
-                break
+                return moving._replace(vx=0.0, vy=0.0, omega=0.0)
             first = self._rates(q, friction)
-            size = math.hypot(first[2], first[3], R * first[5])
+            loss = Moved(*first.tolist())
+            size = math.hypot(loss.vx, loss.vy, R * loss.omega)
             h = min(left, STEP, SHARE * s / size) if size > 0 else left
             second = self._rates(q + h / 2 * first, friction)
             third = self._rates(q + h / 2 * second, friction)
@@ -151,18 +158,25 @@ class AccelerationTable:
 
     def _rates(self, q: Floats, friction: float) -> Floats:
         """Time derivative of the fields of `Moved`."""
-        vx, vy, omega = q[[2, 3, 5]].tolist()
+        _, _, vx, vy, _, omega = q.tolist()
         v = math.hypot(vx, vy)
         across, along, angular = (friction * a for a in self.accelerations(v, omega))
         # unit vector along the motion; (ey, -ex) is to its right
-        ex, ey = (vx / v, vy / v) if v > 0 else (0.0, 0.0)
+        ex = vx / v if v > 0 else 0.0
+        ey = vy / v if v > 0 else 0.0
         return np.array(
-            [vx, vy, along * ex + across * ey, along * ey - across * ex, omega, angular]
+            Moved(
+                x=vx,
+                y=vy,
+                vx=along * ex + across * ey,
+                vy=along * ey - across * ex,
+                phi=omega,
+                omega=angular,
+            )
         )
 
     def to_json(self) -> dict[str, Any]:
         """The table as a record, its values by name and rounded to seven digits."""
-        names = ("across", "along", "angular")
         return {
             "curlfit": __version__,
             "law": self.law,
@@ -192,14 +206,11 @@ class AccelerationTable:
                 "angular": "rad/s^2, counter-clockwise",
             },
             "error": {
-                "interpolation": dict(zip(names, self.interpolation, strict=True)),
+                "interpolation": dict(zip(_CHANNELS, self.interpolation, strict=True)),
                 "resting_place": self.resting_place,
             },
             "not_included": self.not_included,
-            **{
-                name: [[float(f"{v:.7g}") for v in row] for row in part.tolist()]
-                for name, part in zip(names, self.values, strict=True)
-            },
+            **dict(zip(_CHANNELS, _rounded(self.values).tolist(), strict=True)),
         }
 
 
@@ -233,11 +244,13 @@ def tabulate(fit: FitResult) -> AccelerationTable:
     """
     if not fit.converged:
         raise UnusableFitError(f"no table can be made of this fit: {fit.status}")
-    law, stone = fit.fitted_law, fit.stone
-    given = {
-        name: item.value for name, item in fit.conditions.items() if name in vars(stone)
+    law = fit.fitted_law
+    conditions_of_stone = {
+        name: condition.value
+        for name, condition in fit.conditions.items()
+        if name in vars(fit.stone)
     }
-    stone = stone.with_values(given)
+    stone = fit.stone.with_values(conditions_of_stone)
     if isinstance(law, NetLaw):
         raise InputError(
             f"law {law.name} has no contact ring: its accelerations are the formula "
@@ -249,52 +262,62 @@ def tabulate(fit: FitResult) -> AccelerationTable:
             f"the friction of law {law.name} depends on the angle turned or on the "
             "time; a table by speed and spin does not hold it"
         )
-    others = _not_included(fit)
+    not_included = _not_included(fit)
     load = check_load(fit.load)
-    exact = jax.jit(
-        lambda v, omega: jnp.stack(accelerations(law, stone, load, v, omega))
-    )
-    random = np.random.default_rng(0)
-    s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST / 2), _TRIALS))
-    theta = random.uniform(-np.pi / 2, np.pi / 2, _TRIALS)
-    trials = s * np.cos(theta), s * np.sin(theta) / stone.R
-    true = np.asarray(exact(*trials))
+
+    @jax.jit
+    def exact(v: Any, omega: Any) -> Any:
+        return jnp.stack(accelerations(law, stone, load, v, omega))
+
     ends = [_resting_place(law, stone, load, *draw) for draw in _DRAWS]
-    for size in _SMALL if _scale_free(exact, stone.R) else _SIZES:
-        values = _tabulated(exact, stone.R, *size)
+    scale_free = _is_scale_free(exact, stone.R)
+    for rows, columns in _SIZES_WITHOUT_SCALE if scale_free else _SIZES:
+        values = _tabulated(exact, stone.R, rows, columns)
         if not np.isfinite(values).all():
             raise InputError(
                 f"law {law.name} with {fit.load} load admits no motion at some speeds "
                 "and spins; no table can be made"
             )
-        coefficients = {name: item.value for name, item in fit.coefficients.items()}
         table = AccelerationTable(
-            law.name,
-            fit.load,
-            coefficients,
-            stone,
-            values,
-            (0.0, 0.0, 0.0),
-            0.0,
-            others,
+            law=law.name,
+            load=fit.load,
+            coefficients={name: c.value for name, c in fit.coefficients.items()},
+            stone=stone,
+            values=values,
+            interpolation=(0.0, 0.0, 0.0),
+            resting_place=0.0,
+            not_included=not_included,
         )
-        off = max(
+        distance = max(
             _distance(table, draw, end) for draw, end in zip(_DRAWS, ends, strict=True)
         )
-        if off < _GOOD:
+        if distance < _GOOD:
             break
-    if not off < _BEST:
+    if not distance < _ACCEPTED:
         raise InputError(
             f"no table of law {law.name} brings stones to rest within 1 cm of where "
-            f"the law does; the best is off by {off:.2g} m"
+            f"the law does; the best is off by {distance:.2g} m"
         )
-    pairs = np.array(
-        [table.accelerations(*pair) for pair in zip(*trials, strict=True)]
-    ).T
-    error = np.abs(pairs - true).max(1).tolist()
     return replace(
-        table, interpolation=(error[0], error[1], error[2]), resting_place=off
+        table,
+        interpolation=_interpolation_errors(table, exact),
+        resting_place=distance,
     )
+
+
+def _interpolation_errors(
+    table: AccelerationTable, exact: Any
+) -> tuple[float, float, float]:
+    """Largest errors of a table at random motions."""
+    random = np.random.default_rng(0)
+    s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST / 2), _TRIALS))
+    theta = random.uniform(-np.pi / 2, np.pi / 2, _TRIALS)
+    v = s * np.cos(theta)
+    omega = s * np.sin(theta) / table.stone.R
+    true = np.asarray(exact(v, omega))
+    by_table = [table.accelerations(*motion) for motion in zip(v, omega, strict=True)]
+    across, along, angular = np.abs(np.transpose(by_table) - true).max(1).tolist()
+    return across, along, angular
 
 
 def _not_included(fit: FitResult) -> dict[str, float]:
@@ -302,53 +325,64 @@ def _not_included(fit: FitResult) -> dict[str, float]:
     changes along the throw. The scales of lengths and times are of the record, not
     of the motion."""
     neutral = vars(Environment())
-    found = {
-        name: item.value
-        for name, item in fit.conditions.items()
-        if name in neutral and item.value != neutral[name]
+    effects = {
+        name: condition.value
+        for name, condition in fit.conditions.items()
+        if name in neutral and condition.value != neutral[name]
     }
-    wear = [
-        f"{name} = {value:.4g}"
-        for name, value in found.items()
-        if name.startswith("wear")
-    ]
+    wear = {name: value for name, value in effects.items() if name.startswith("wear")}
     if wear:
         raise InputError(
-            f"the friction of this fit changes along the throw ({', '.join(wear)}); "
+            f"the friction of this fit changes along the throw ({_listed(wear)}); "
             "a table by speed and spin does not hold it"
         )
-    return found
+    return effects
 
 
-def _scale_free(exact: Any, R: float) -> bool:
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+
+
+def _is_scale_free(exact: Any, R: float) -> bool:
     """Whether the accelerations depend on R omega/v alone."""
     s = np.geomspace(SLOWEST, FASTEST, 50)
-    found = np.asarray(exact(0.8 * s, 0.6 * s / R))
-    return bool(np.ptp(found, axis=1).max() < _SCALE_FREE * np.abs(found).max())
+    values = np.asarray(exact(0.8 * s, 0.6 * s / R))
+    return bool(np.ptp(values, axis=1).max() < _SCALE_FREE * np.abs(values).max())
 
 
 def _tabulated(exact: Any, R: float, n: int, k: int) -> Floats:
-    """Values at the nodes, and one node beyond either end by quadratic
-    extrapolation."""
+    """Values at the nodes, and one node beyond either end, rounded to seven digits."""
     s = SLOWEST * (FASTEST / SLOWEST) ** (np.arange(n + 1) / n)
-    column = np.arange(k + 1) / k * 4 - 2
-    side = np.where(column >= 0, 1.0, -1.0)
-    p = np.abs(column) - 1
-    g = np.array(
-        [brentq(lambda g, p=p: warped(g) - p, -1.0, 1.0, xtol=1e-15) for p in p]
-    )
+    # p + 1 with the sign of theta
+    signed = np.arange(k + 1) / k * 4 - 2
+    side = np.where(signed >= 0, 1.0, -1.0)
+    g = np.array([_unwarped(p) for p in np.abs(signed) - 1])
     theta = side * np.pi / 4 * (1 + g)
-    v, u = s[:, None] * np.cos(theta), s[:, None] * np.sin(theta)
-    found = np.asarray(exact(np.where(v > _SLOWER * np.abs(u), v, 0.0), u / R))
-    for axis in (1, 2):
-        low, high = (
-            np.moveaxis(found, axis, 0)[rows] for rows in ([0, 1, 2], [-1, -2, -3])
-        )
-        ends = [np.expand_dims(3 * a - 3 * b + c, axis) for a, b, c in (low, high)]
-        found = np.concatenate([ends[0], found, ends[1]], axis)
-    return np.array(
-        [[[float(f"{x:.7g}") for x in row] for row in part] for part in found]
-    )
+    v = s[:, None] * np.cos(theta)
+    u = s[:, None] * np.sin(theta)
+    v = np.where(v > _IN_PLACE * np.abs(u), v, 0.0)
+    inner = np.asarray(exact(v, u / R))
+    return _rounded(_extended(_extended(inner, 1), 2))
+
+
+def _unwarped(p: float) -> float:
+    """g as a function of p, the inverse of `warped`."""
+    return float(brentq(lambda g: warped(g) - p, -1.0, 1.0, xtol=1e-15))
+
+
+def _extended(values: Floats, axis: int) -> Floats:
+    """Values with one more at either end of an axis, by quadratic extrapolation."""
+    along = np.moveaxis(values, axis, 0)
+    before = 3 * along[0] - 3 * along[1] + along[2]
+    after = 3 * along[-1] - 3 * along[-2] + along[-3]
+    ends = (np.expand_dims(before, axis), np.expand_dims(after, axis))
+    return np.concatenate([ends[0], values, ends[1]], axis)
+
+
+def _rounded(values: Floats) -> Floats:
+    """Values with seven digits, as they are written."""
+    digits = [float(f"{value:.7g}") for value in values.ravel()]
+    return np.reshape(digits, values.shape)
 
 
 def _resting_place(law: Law, stone: Stone, load: Any, v: float, omega: float) -> Floats:
@@ -362,8 +396,9 @@ def _distance(
     table: AccelerationTable, draw: tuple[float, float], end: Floats
 ) -> float:
     """Distance in m from the resting position of a throw to that by the table."""
-    stone = Moved(0.0, 0.0, 0.0, draw[0], 0.0, draw[1])
-    for _ in range(1000):
+    speed, spin = draw
+    stone = Moved(x=0.0, y=0.0, vx=0.0, vy=speed, phi=0.0, omega=spin)
+    for _ in range(_LONGEST):
         stone = table.step(stone, 1.0)
         if stone.vx == stone.vy == stone.omega == 0:
             break
@@ -377,7 +412,7 @@ def c_header(table: AccelerationTable) -> str:
 
 
 def javascript_module(table: AccelerationTable) -> str:
-    """The same as a JavaScript module."""
+    """The table with its interpolation and a time step, as a JavaScript module."""
     return _filled("curlfit_stone.mjs.in", table, "[", "]")
 
 
@@ -386,29 +421,27 @@ def not_included(table: AccelerationTable) -> str:
     without any."""
     if not table.not_included:
         return ""
-    named = ", ".join(
-        f"{name} = {value:.4g}" for name, value in table.not_included.items()
-    )
-    return f"Not included from the fit: {named}."
+    return f"Not included from the fit: {_listed(table.not_included)}."
 
 
 def _filled(template: str, table: AccelerationTable, left: str, right: str) -> str:
+    """A template with the table, whose arrays stand between some brackets."""
     n, k = table.shape
-    across, along, angular = (f"{size:.1g}" for size in table.interpolation)
-    named = ", ".join(
+    across, along, angular = table.interpolation
+    coefficients = [
         f"{name} = {value:.6g}" for name, value in table.coefficients.items()
-    )
+    ]
     values = {
         "law": table.law,
         "load": table.load,
         "version": __version__,
-        "coefficients": named,
-        "rho": f"{table.stone.rho!r}",
-        "h": f"{table.stone.h!r}",
-        "R": f"{table.stone.R!r}",
-        "error_across": across,
-        "error_along": along,
-        "error_angular": angular,
+        "coefficients": ", ".join(coefficients),
+        "rho": repr(table.stone.rho),
+        "h": repr(table.stone.h),
+        "R": repr(table.stone.R),
+        "error_across": f"{across:.1g}",
+        "error_along": f"{along:.1g}",
+        "error_angular": f"{angular:.1g}",
         "resting_place": f"{table.resting_place:.1g}",
         "rows": str(n),
         "columns": str(k),
@@ -423,13 +456,14 @@ def _filled(template: str, table: AccelerationTable, left: str, right: str) -> s
             for part in table.values.tolist()
         ),
     }
-    head, text = (
-        Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
-        for name in ("head.in", template)
-    )
-    said = head.substitute(values) + not_included(table)
-    # which would end the comment
-    return text.substitute(values, head=said.rstrip().replace("*/", "* /"))
+    head = _template("head.in").substitute(values) + not_included(table)
+    # "*/" would end the comment
+    head = head.rstrip().replace("*/", "* /")
+    return _template(template).substitute(values, head=head)
+
+
+def _template(name: str) -> Template:
+    return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
 def _wrapped(row: list[float], left: str, right: str) -> str:

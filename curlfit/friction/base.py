@@ -160,6 +160,47 @@ class RingPoint(NamedTuple):
     time: Any
 
 
+def ring_points(
+    angle: Any,
+    v: Any,
+    u: Any,
+    turned: Any,
+    time: Any,
+    *,
+    front: Any = None,
+    array: Any = np,
+) -> RingPoint:
+    """Points at polar angles on the ring of a stone in motion, under uniform load.
+
+    Parameters
+    ----------
+    angle, v, u, turned, time : as in `RingPoint`, numbers or arrays.
+    front : as in `RingPoint`; by default by the angle.
+    array : numpy or jax.numpy.
+    """
+    xi = array.cos(angle)
+    eta = array.sin(angle)
+    slide_xi = -u * eta  # eq. 16
+    slide_eta = v + u * xi
+    speed = array.hypot(slide_xi, slide_eta)
+    return RingPoint(
+        xi=xi,
+        eta=eta,
+        angle=angle,
+        front=1.0 * (eta > 0) if front is None else front,
+        slide_xi=slide_xi,
+        slide_eta=slide_eta,
+        speed=speed,
+        e_xi=slide_xi / speed,  # eq. 4
+        e_eta=slide_eta / speed,
+        load=array.ones_like(speed),
+        v=v,
+        u=u,
+        turned=turned,
+        time=time,
+    )
+
+
 class Edges(NamedTuple):
     """Polar angles at which friction jumps or has a kink, on the front half (0, pi) and
     the back half (-pi, 0)."""
@@ -298,32 +339,34 @@ class Law:
     @functools.cache
     def coefficients(cls) -> tuple[Coefficient, ...]:
         """The coefficients in the order of the class's fields."""
-        items = []
+        coefficients = []
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
             metadata: dict[str, Any] = dict(field.metadata["coefficient"])
             metadata["symbol"] = metadata["symbol"] or rf"\mathrm{{{field.name}}}"
-            items.append(Coefficient(name=field.name, **metadata))
-        return tuple(items)
+            coefficients.append(Coefficient(name=field.name, **metadata))
+        return tuple(coefficients)
 
     @classmethod
     def from_vector(cls, values: Any) -> Self:
-        """The law with its coefficients taken in order from a sequence or array."""
-        names = (item.name for item in cls.coefficients())
-        return cls(**{name: values[index] for index, name in enumerate(names)})
+        """The law with its coefficients taken in order from a sequence or array, which
+        may be longer."""
+        return cls(*(values[index] for index in range(len(cls.coefficients()))))
 
 
 def _check(law: type[Law], name: str, metadata: dict[str, Any]) -> None:
     """Raise TypeError for an invalid name or default of a coefficient."""
-    taken = ""
+    namesake = ""
     if name in START_NAMES:
-        taken = "a parameter of the initial state, fitted with every law"
+        namesake = "a parameter of the initial state, fitted with every law"
     elif any(name in vars(base) for base in law.__mro__ if base.__module__ == __name__):
-        taken = "an attribute of every law"
-    if taken:
+        namesake = "an attribute of every law"
+    if namesake:
         raise TypeError(
-            f"{law.__name__}.{name}: this is the name of {taken}; choose another"
+            f"{law.__name__}.{name}: this is the name of {namesake}; choose another"
         )
-    default, lower, upper = (metadata[key] for key in ("default", "lower", "upper"))
+    default = metadata["default"]
+    lower = metadata["lower"]
+    upper = metadata["upper"]
     if not lower <= default <= upper:
         raise TypeError(
             f"{law.__name__}.{name}: default {default:g} lies outside its bounds, "

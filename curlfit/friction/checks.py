@@ -16,17 +16,24 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from curlfit.errors import DataError, warn_once
-from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
-from curlfit.friction.sampled import STONE, Conditions, Sampled, ring_points, sample
+from curlfit.friction.base import (
+    Law,
+    LocalLaw,
+    Motion,
+    NetLaw,
+    RingPoint,
+    ring_points,
+)
+from curlfit.friction.sampled import STONE, Conditions, Sampled, sample
 from curlfit.numerics.arrays import Floats
 
-_STATES = [
+_MOTIONS_OF_DEFAULTS = [
     Motion(speed=2.0, omega=1.0, turned=0.0, time=0.0),
     Motion(speed=2.0, omega=-1.0, turned=-0.5, time=1.0),
     Motion(speed=0.3, omega=2.0, turned=6.0, time=10.0),
     Motion(speed=0.02, omega=1.0, turned=9.0, time=20.0),
 ]
-"""Motions at which a law is evaluated with its defaults."""
+"""Motions in which a law is evaluated with its defaults."""
 _ANGLES = np.linspace(-np.pi, np.pi, 24, endpoint=False) + np.pi / 24
 _ROUNDING = 1e-12  # m/s, of a power per unit load
 _USE_JAX = (
@@ -52,9 +59,9 @@ _JUMP = 0.004
 """Step of friction, relative, beyond the steps beside it, that is a jump."""
 _STEPS = 400  # of each half, or part between edges, among which a jump is looked for
 _BESIDE = 1e-6  # rad, from the ends, where friction may jump
-_MOST_SAID = 4  # jumps in a message
+_MOST_NAMED = 4  # jumps in a message
 _DURATION = 25.0  # s, in which changes are looked for
-_INTERVAL = 0.01  # s
+_INTERVAL = 0.01  # s, between the times at which it is evaluated
 _SPEED = 2.0  # m/s, of the motion meanwhile
 _SPINS = 1.5, -1.5  # rad/s
 _LARGEST_SHIFT = 1e-4  # m, of the path, if the steps in time are too long for a change
@@ -63,7 +70,7 @@ _STEP_RATES = 0.8, 7.1
 release of such a stone (`dynamics.equations.step_size`)"""
 _RATES = 0.3, 1.0, 3.0, 10.0  # 1/s, of a quickness that a message may recommend
 _SUDDEN = 0.3  # of all change, within one interval
-_COURSES = 4
+_COURSES = 4  # sets of coefficients, the defaults first
 
 _EDGES = (
     "declare these angles in `def edges(self, turned)`, which returns "
@@ -140,39 +147,38 @@ class Check:
     def values(self) -> None:
         """Evaluate the law with its defaults, both on numbers and traced."""
         local = issubclass(self.law, LocalLaw)
-        names = (
-            ("to the right", "forward")
-            if local
-            else ("to the right", "forward", "angular")
-        )
-        for state in _STATES:
-            point = ring_points(_ANGLES, state)
-            result = self._evaluated(point if local else state)
-            if not (isinstance(result, tuple) and len(result) == len(names)):
-                found = (
-                    f"{len(result)} values"
-                    if isinstance(result, tuple)
-                    else f"a value of type {type(result).__name__}"
-                )
-                self.refuse(
-                    f"{self.law.__name__} gives {found}; expected {len(names)}: "
-                    f"({', '.join(names)})"
-                )
-            conditions = (
-                f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
-            )
+        names = ["to the right", "forward"]
+        if not local:
+            names.append("angular")
+        for motion in _MOTIONS_OF_DEFAULTS:
+            speed, omega, turned, time = motion
+            point = ring_points(_ANGLES, speed, STONE.R * omega, turned, time)
+            result = self._evaluated(point if local else motion)
+            if not isinstance(result, tuple):
+                self._refuse_result(f"a value of type {type(result).__name__}", names)
+            if len(result) != len(names):
+                self._refuse_result(f"{len(result)} values", names)
+            conditions = f"with its defaults, at {speed:g} m/s and {omega:g} rad/s"
             if not all(np.isfinite(np.asarray(part, float)).all() for part in result):
                 self.refuse(f"{self.law.__name__} {conditions}, gives {result!r}")
             if local:
                 power = result[0] * point.slide_xi + result[1] * point.slide_eta
             else:
-                power = state.speed * result[1] + STONE.rho**2 * state.omega * result[2]
+                power = speed * result[1] + STONE.rho**2 * omega * result[2]
             self._opposes(power, conditions)
 
+    def _refuse_result(self, result: str, names: list[str]) -> NoReturn:
+        self.refuse(
+            f"{self.law.__name__} gives {result}; expected {len(names)}: "
+            f"({', '.join(names)})"
+        )
+
     def _evaluated(self, argument: RingPoint | Motion) -> Any:
+        """Friction with the default coefficients; refuse a law that cannot be traced
+        or evaluated."""
         import jax
 
-        defaults = np.array([item.default for item in self.law.coefficients()])
+        defaults = np.array([c.default for c in self.law.coefficients()])
 
         def evaluate(values: Any, argument: Any) -> Any:
             friction = self.law.from_vector(values)
@@ -229,7 +235,7 @@ class Check:
         roughest = max(steps, key=lambda step: step.bend)
         ranges = [
             f"between {step.begin:.4f} and {step.end:.4f} rad"
-            for step in jumps[:_MOST_SAID] or [roughest]
+            for step in jumps[:_MOST_NAMED] or [roughest]
         ]
         place = f"{', '.join(ranges)} (error of its sum over the ring: {error:.2%})"
         if jumps or error > _LARGEST_ERROR:
@@ -268,7 +274,7 @@ class Check:
         """Compare friction summed over steps in time with that over many
         more points."""
         rows = sample(self.law, _COURSES, seed=2).coefficients
-        rows[0] = [item.default for item in self.law.coefficients()]
+        rows[0] = [c.default for c in self.law.coefficients()]
         for coefficients in rows:
             for spin in _SPINS:
                 course = _course(coefficients, spin)
@@ -276,33 +282,34 @@ class Check:
                     self._check_course(course)
 
     def _is_constant(self, course: Conditions) -> bool:
+        """Whether friction is the same all along a motion."""
         friction = self.sampled.at_angles(course, _ANGLES[None, ::3])
         return bool(np.allclose(friction, friction[:, :1], rtol=1e-9, atol=0))
 
     def _check_course(self, course: Conditions) -> None:
+        """Refuse a law whose change the steps in time do not resolve."""
         net = self.sampled.net(course)
         law = self.law.from_vector(course.coefficients[0])
         spin = course.omega[0]
         shift, time = _shift(net, law, spin)
         if not shift > _LARGEST_SHIFT:
             return
-        by_time = self.sampled.net(course._replace(turned=0 * course.turned))
-        depends_on_time = _shift(by_time, law, spin)[0] > _LARGEST_SHIFT
-        place = (
-            f"{time:.3g} s after release"
-            if depends_on_time
-            else f"an angle turned of {spin * time:.3g} rad"
-        )
-        change = np.abs(np.diff(net)).max() / np.ptp(net, axis=1).max()
-        steps = [
+        not_turned = self.sampled.net(course._replace(turned=0 * course.turned))
+        shift_by_time, _ = _shift(not_turned, law, spin)
+        if shift_by_time > _LARGEST_SHIFT:
+            place = f"{time:.3g} s after release"
+        else:
+            place = f"an angle turned of {spin * time:.3g} rad"
+        largest_share = np.abs(np.diff(net)).max() / np.ptp(net, axis=1).max()
+        sufficient_rates = [
             rate for rate in _RATES if _shift(net, law, spin, rate)[0] <= _LARGEST_SHIFT
         ]
-        if change > _SUDDEN or not steps:
+        if largest_share > _SUDDEN or not sufficient_rates:
             remedy = _GRADUAL
         else:
             remedy = (
                 "declare its rate in 1/s in `def quickness(self, time)`; "
-                f"{steps[0]:g} would do"
+                f"{sufficient_rates[0]:g} would do"
             )
         self.refuse(
             f"{self.law.__name__}: friction changes too quickly for the steps in "
@@ -336,20 +343,19 @@ def _shift(
     ends = _steps(law, spin, more)
     low = time[ends[:-1]]
     high = time[ends[1:]]
-    # of the order of the integrator
+    # three Gauss points a step, a rule of the order of the integrator
     nodes, weights = np.polynomial.legendre.leggauss(3)
-    at = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
-    by_steps = (
-        np.array([np.interp(at, time, part) for part in net])
-        @ weights
-        / 2
-        * (high - low)
-    )
+    instants = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
+    friction = np.array([np.interp(instants, time, part) for part in net])
+    by_steps = friction @ weights / 2 * (high - low)
     intervals = (net[:, 1:] + net[:, :-1]) / 2 * _INTERVAL
-    error = by_steps - np.add.reduceat(intervals, ends[:-1], axis=1)
+    by_intervals = np.add.reduceat(intervals, ends[:-1], axis=1)
+    error = by_steps - by_intervals
+    # as a time of mean friction, in which the stone moves at this speed
     shift = _SPEED * np.abs(np.cumsum(error, 1)).max() / np.abs(net).mean(1).max()
     worst = np.abs(error).max(0).argmax()
-    changes = np.abs(np.diff(net[:, ends[worst] : ends[worst + 1] + 1])).max(0)
+    within_worst = net[:, ends[worst] : ends[worst + 1] + 1]
+    changes = np.abs(np.diff(within_worst)).max(0)
     return float(shift), float(low[worst] + (changes.argmax() + 1) * _INTERVAL)
 
 

@@ -38,13 +38,18 @@ class LawFamily(Law):
     def corners(self) -> tuple[Any, ...]:  # type: ignore[override]
         """Angles turned (rad) at which friction has a kink, padded by angles
         never reached."""
-        most = max(len(member.corners) for member in self.members)
-        each = [(*member.corners, *(_NEVER,) * most)[:most] for member in self.members]
-        index, *_ = self._values()
-        return tuple(
-            sum((index == number) * corner for number, corner in enumerate(corners))
-            for corners in zip(*each, strict=True)
-        )
+        count = max(len(member.corners) for member in self.members)
+        index = self._values()[0]
+        corners = []
+        for place in range(count):
+            corner: Any = 0
+            for number, member in enumerate(self.members):
+                of_member = _NEVER
+                if place < len(member.corners):
+                    of_member = member.corners[place]
+                corner = corner + (index == number) * of_member
+            corners.append(corner)
+        return tuple(corners)
 
     def quickness(self, time: Any) -> Any:
         """Relative rate of the explicit change of friction with time since
@@ -62,31 +67,35 @@ class LawFamily(Law):
         return self._of_member(lambda law: law.steepness(), steep)
 
     def _values(self) -> list[Any]:
-        return [getattr(self, item.name) for item in self.coefficients()]
+        """The index of the selected member, and its coefficients."""
+        return [getattr(self, field.name) for field in self.coefficients()]
 
     def _of_member(
-        self, value: Callable[[Law], Any], members: list[type[LocalLaw]]
+        self, quantity: Callable[[Law], Any], members: list[type[LocalLaw]]
     ) -> Any:
-        """A value of the selected member if it is one of `members`; else 0."""
+        """A quantity of the selected member if it is one of `members`; else 0."""
         index, *values = self._values()
-        found: Any = 0.0
+        total: Any = 0.0
         for member in members:
             selected = index == self.members.index(member)
-            pairs = zip(values, member.coefficients(), strict=False)
             # Other members have their defaults, since they may be undefined at
             # these coefficients.
-            own = [
-                selected * one + (1 - selected) * item.default for one, item in pairs
+            coefficients = [
+                selected * value + (1 - selected) * coefficient.default
+                for value, coefficient in zip(
+                    values, member.coefficients(), strict=False
+                )
             ]
-            found = found + selected * value(member.from_vector(own))
-        return found
+            total = total + selected * quantity(member.from_vector(coefficients))
+        return total
 
     @classmethod
     def columns(cls, member: type[Law], size: int) -> list[int]:
         """Indices of `size` parameters of a member, its coefficients first, among
         the family's."""
-        k, own = len(cls.coefficients()), len(member.coefficients())
-        return [*range(1, own + 1), *range(k, k + size - own)]
+        k = len(cls.coefficients())
+        count = len(member.coefficients())
+        return [*range(1, count + 1), *range(k, k + size - count)]
 
     @classmethod
     def padded(cls, member: type[Law], values: Floats, fill: float = 0.0) -> Floats:
@@ -94,16 +103,16 @@ class LawFamily(Law):
         of the family."""
         size = values.shape[-1]
         added = len(cls.coefficients()) - len(member.coefficients())
-        found = np.full((*values.shape[:-1], size + added), fill)
-        found[..., cls.columns(member, size)] = values
-        return found
+        of_family = np.full((*values.shape[:-1], size + added), fill)
+        of_family[..., cls.columns(member, size)] = values
+        return of_family
 
     @classmethod
     def vector(cls, member: type[Law], values: Floats) -> Floats:
         """Parameter vectors of a member as vectors of the family."""
-        found = cls.padded(member, values)
-        found[..., 0] = cls.members.index(member)
-        return found
+        of_family = cls.padded(member, values)
+        of_family[..., 0] = cls.members.index(member)
+        return of_family
 
 
 def family_of(laws: Iterable[type[Law]]) -> type[LawFamily] | None:

@@ -7,6 +7,7 @@ from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import quoted
@@ -46,24 +47,27 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
             f"{name} does not brake a stone; add it to a law of the ring, "
             f"as in power+{name}"
         )
-    if "+" in name:
-        parts = name.split("+")
-        if all(part in TERMS or part in LAWS for part in parts[1:]):
-            each = (
-                TERMS.get(part) or find_law(part, from_files=from_files)
-                for part in parts
-            )
-            return checked(sum_of(*each))  # type: ignore[arg-type]  # which it checks
-    file, colon, kind = name.rpartition(":")
-    if from_files and (file.endswith(".py") or name.endswith(".py")):
-        return law_from_file(
-            *((file, kind) if colon and not kind.endswith(".py") else (name, ""))
-        )
-    raise InputError(
+    first, *others = name.split("+")
+    # The first part may be a file, whose name may have a plus of its own.
+    if others and all(part in TERMS or part in LAWS for part in others):
+        laws: list[Any] = [
+            TERMS.get(part) or find_law(part, from_files=from_files)
+            for part in (first, *others)
+        ]
+        return checked(sum_of(*laws))
+    if from_files:
+        if name.endswith(".py"):
+            return law_from_file(name)
+        file, _, kind = name.rpartition(":")
+        if file.endswith(".py"):
+            return law_from_file(file, kind)
+    message = (
         f"unknown law {quoted(name)}; the laws are {', '.join(sorted(LAWS))} "
         "(see `curlfit laws`)"
-        + ("; a law of your own is FILE.py:CLASS" if from_files else "")
     )
+    if from_files:
+        message += "; a law of your own is FILE.py:CLASS"
+    raise InputError(message)
 
 
 def laws_under(
@@ -76,18 +80,15 @@ def laws_under(
     law without a ring has no load and is listed once. Raises `InputError` for an
     unknown name.
     """
-    wanted = laws or [
-        law for law in LAWS.values() if law.shipped() and not law.approximates
-    ]
-    chosen = [
-        find_law(law)
-        for law in ([wanted] if isinstance(wanted, str | type) else wanted)
-    ]
-    return [
-        (law, load)
-        for law in dict.fromkeys(chosen)
-        for load in (loads[:1] if issubclass(law, NetLaw) else loads)
-    ]
+    if not laws:
+        laws = [law for law in LAWS.values() if law.shipped() and not law.approximates]
+    elif isinstance(laws, str | type):
+        laws = [laws]
+    candidates = []
+    for law in dict.fromkeys(find_law(law) for law in laws):
+        for load in loads[:1] if issubclass(law, NetLaw) else loads:
+            candidates.append((law, load))
+    return candidates
 
 
 def law_from_file(file: str, kind: str = "") -> type[Law]:
@@ -137,6 +138,7 @@ def _module(path: Path, _modified: int, file: str) -> ModuleType:
 
 
 def _select_law(file: str, module: ModuleType, kind: str) -> type[Law]:
+    """The law class `kind` of a module, or the only one in it."""
     classes = {
         name: value
         for name, value in vars(module).items()
@@ -144,11 +146,9 @@ def _select_law(file: str, module: ModuleType, kind: str) -> type[Law]:
         and issubclass(value, LocalLaw | NetLaw)
         and value.__module__ == module.__name__
     }
-    available = (
-        f"it has {', '.join(classes)}"
-        if classes
-        else "derive one from curlfit.LocalLaw"
-    )
+    available = "derive one from curlfit.LocalLaw"
+    if classes:
+        available = f"it has {', '.join(classes)}"
     if kind and kind not in classes:
         raise DataError(f"no law class {quoted(kind)} in it; {available}", file=file)
     if not kind and len(classes) != 1:

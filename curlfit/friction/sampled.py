@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, ring_points
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 
@@ -42,15 +42,15 @@ class Conditions(NamedTuple):
 def sample(law: type[Law], count: int, seed: int) -> Conditions:
     """Random conditions, with coefficients near the defaults, all different."""
     random = np.random.default_rng(seed)
-    items = law.coefficients()
-    default = np.array([item.default for item in items])
-    reach = np.array([max(abs(item.default) / 2, item.typical) for item in items])
-    lower = np.array([item.lower for item in items])
-    upper = np.array([item.upper for item in items])
+    coefficients = law.coefficients()
+    default = np.array([c.default for c in coefficients])
+    reach = np.array([max(abs(c.default) / 2, c.typical) for c in coefficients])
+    lower = np.array([c.lower for c in coefficients])
+    upper = np.array([c.upper for c in coefficients])
 
-    def coefficients() -> Floats:
+    def admissible_values() -> Floats:
         for _ in range(_MOST_TRIES):
-            values = default + reach * random.uniform(-1, 1, len(items))
+            values = default + reach * random.uniform(-1, 1, len(default))
             values = np.clip(values, lower, upper)
             if law.from_vector(values).fault() is None:
                 return values
@@ -62,38 +62,12 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     epsilon[::8] = _IN_PLACE
     omega = np.minimum(epsilon * speed / STONE.R, 4.0) * random.choice([-1, 1], count)
     return Conditions(
-        np.array([coefficients() for _ in range(count)]),
+        np.array([admissible_values() for _ in range(count)]),
         speed,
         omega,
         random.uniform(-7, 14, count),
         random.uniform(0, 25, count),
         *random.uniform(-0.05, 0.05, (2, count)),
-    )
-
-
-def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
-    """Points of the ring at polar angles; `array` is numpy or jax.numpy."""
-    xi = array.cos(alpha)
-    eta = array.sin(alpha)
-    spin = STONE.R * motion.omega
-    slide_xi = -spin * eta  # eq. 16
-    slide_eta = motion.speed + spin * xi
-    speed = array.hypot(slide_xi, slide_eta)
-    return RingPoint(
-        xi=xi,
-        eta=eta,
-        angle=alpha,
-        front=1.0 * (eta > 0),
-        slide_xi=slide_xi,
-        slide_eta=slide_eta,
-        speed=speed,
-        e_xi=slide_xi / speed,
-        e_eta=slide_eta / speed,
-        load=1 + 0 * xi,
-        v=motion.speed,
-        u=spin,
-        turned=motion.turned,
-        time=motion.time,
     )
 
 
@@ -134,7 +108,7 @@ class Sampled:
         return magnitude
 
     def usable(self, conditions: Conditions) -> Conditions:
-        """Those of the conditions in which there is friction, a finite one."""
+        """The conditions in which there is friction, a finite one."""
         size = self.size(conditions)
         return conditions.take(np.flatnonzero(np.isfinite(size) & (size > 0)))
 
@@ -205,7 +179,7 @@ def _section_rule(v: Any, u: Any, low: Any, high: Any, begin: Any, end: Any) -> 
     at_low = ring_nodes.half_angle(sign * low, side)
     at_high = ring_nodes.half_angle(sign * high, side)
     # half angles may decrease with the polar angle
-    ends = jnp.minimum(at_low, at_high), jnp.maximum(at_low, at_high)
+    ends = (jnp.minimum(at_low, at_high), jnp.maximum(at_low, at_high))
     nodes = ring_nodes.nodes_between(ends, clustering, (begin, end))
     angles = ring_nodes.polar_angle(nodes.half_angle, (1 + sign) / 2, side)
     return jnp.stack([angles, nodes.weight * ring_nodes.GAUSS_WEIGHTS])
@@ -215,20 +189,23 @@ def _at_point(law: type[LocalLaw], coefficients: Any, *at: Any) -> Any:
     """Force to the right, forward and moment per unit of the mean load."""
     import jax.numpy as jnp
 
-    *motion, p, q, alpha = at
-    point = ring_points(alpha, Motion(*motion), jnp)
-    point = point._replace(load=1 + p * point.xi + q * point.eta)
-    right, forward = (
-        point.load * part for part in law.from_vector(coefficients).traction(point)
-    )
-    return jnp.stack([right, forward, point.xi * forward - point.eta * right])
+    speed, omega, turned, time, p, q, alpha = at
+    point = ring_points(alpha, speed, STONE.R * omega, turned, time, array=jnp)
+    load = 1 + p * point.xi + q * point.eta  # eq. 9
+    across, along = law.from_vector(coefficients).traction(point._replace(load=load))
+    right = load * across
+    forward = load * along
+    moment = point.xi * forward - point.eta * right  # eq. 2
+    return jnp.stack([right, forward, moment])
 
 
 def _of_stone(law: type[NetLaw], coefficients: Any, *at: Any) -> Any:
     """Accelerations, that of the rotation at the radius of gyration."""
     import jax.numpy as jnp
 
-    right, forward, angular = law.from_vector(coefficients).accelerations(
-        Motion(*at[:4]), STONE
+    speed, omega, turned, time, *_ = at
+    friction = law.from_vector(coefficients)
+    right, forward, angular = friction.accelerations(
+        Motion(speed, omega, turned, time), STONE
     )
-    return jnp.stack([right + 0.0 * at[0], forward, STONE.rho * angular])
+    return jnp.stack([right + 0.0 * speed, forward, STONE.rho * angular])

@@ -7,6 +7,7 @@ from curlfit.stone import GRAVITY
 
 
 def _sense(omega: Any) -> Any:
+    """The sign of the spin, 0 without any."""
     return 1.0 * (omega > 0) - 1.0 * (omega < 0)
 
 
@@ -155,10 +156,13 @@ class DigitalCurling(NetLaw):
         symbol="q",
     )
 
+    SLOWEST = 1e-3  # m/s
+
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
-        sense, v = _sense(motion.omega), motion.speed
+        sense = _sense(motion.omega)
+        v = motion.speed
         return (
             -sense * self.w * power(v, 1 + self.n),
             -GRAVITY * (self.f + self.d / (v + self.c)),
-            -sense * self.q * power(v**2 + 1e-6, -0.5),
+            -sense * self.q * power(v**2 + self.SLOWEST**2, -0.5),
         )

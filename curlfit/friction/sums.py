@@ -27,29 +27,33 @@ class Sum(LocalLaw):
     @property
     def terms(self) -> list[LocalLaw]:
         """The parts with their coefficients."""
-        return [
-            part(
-                **{item.name: getattr(self, item.name) for item in part.coefficients()}
-            )
-            for part in self.parts
-        ]
+        terms = []
+        for part in self.parts:
+            values = [getattr(self, c.name) for c in part.coefficients()]
+            terms.append(part(*values))
+        return terms
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        across, along = zip(*(part.traction(point) for part in self.terms), strict=True)
-        return sum(across), sum(along)
+        tractions = [term.traction(point) for term in self.terms]
+        across = sum(traction[0] for traction in tractions)
+        along = sum(traction[1] for traction in tractions)
+        return across, along
 
     def edges(self, turned: Any) -> Edges:
-        front, back = zip(*(part.edges(turned) for part in self.terms), strict=True)
-        return Edges(sum(front, ()), sum(back, ()))
+        edges = [term.edges(turned) for term in self.terms]
+        front = tuple(angle for of_term in edges for angle in of_term.front)
+        back = tuple(angle for of_term in edges for angle in of_term.back)
+        return Edges(front, back)
 
     def quickness(self, time: Any) -> Any:
-        return sum(part.quickness(time) for part in self.terms)
+        return sum(term.quickness(time) for term in self.terms)
 
     def steepness(self) -> Any:
-        return sum(part.steepness() for part in self.terms)
+        return sum(term.steepness() for term in self.terms)
 
     def fault(self) -> str | None:
-        return next(filter(None, (part.fault() for part in self.terms)), None)
+        faults = [term.fault() for term in self.terms]
+        return next((fault for fault in faults if fault), None)
 
 
 @cache
@@ -57,10 +61,10 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
     """The law of which these are the parts. Raises `InputError` unless one brakes, all
     act on the ring, and no two have a coefficient of one name."""
     name = "+".join(part.name for part in parts)
-    names = Counter(item.name for part in parts for item in part.coefficients())
-    twice = [one for one, count in names.items() if count > 1]
-    if twice:
-        raise InputError(f"{name}: two of these have a coefficient {twice[0]}")
+    uses = Counter(c.name for part in parts for c in part.coefficients())
+    for coefficient, count in uses.items():
+        if count > 1:
+            raise InputError(f"{name}: two of these have a coefficient {coefficient}")
     if not all(issubclass(part, LocalLaw) for part in parts):
         raise InputError(
             f"{name}: expected laws of the ring, and a law of the whole stone is none"
@@ -69,39 +73,33 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
         raise InputError(
             f"{name}: nothing brakes the stone; expected a law, as in power+sideways"
         )
-    own = next((part.__module__ for part in parts if not part.shipped()), __name__)
-    given: dict[str, Any] = {
-        item.name: field(default=item.default, metadata=item.metadata)
+    # A sum with a part of the user is not shipped (`Law.shipped`).
+    modules_of_users = [part.__module__ for part in parts if not part.shipped()]
+    coefficients: dict[str, Any] = {
+        declared.name: field(default=declared.default, metadata=declared.metadata)
         for part in parts
-        for item in fields(part)
+        for declared in fields(part)
     }
-    return type(
-        name,
-        (Sum,),
-        given
-        | {
-            "__annotations__": dict.fromkeys(given, float),
-            "__doc__": f"The sum of {' and '.join(part.name for part in parts)}.",
-            "__module__": own,
-            "__qualname__": name,
-            "name": name,
-            "parts": parts,
-            "formula": " + ".join(part.formula for part in parts),
-            "source": "; ".join(part.source for part in parts),
-            "predicts": "as its parts together",
-            "corners": tuple(
-                sorted({angle for part in parts for angle in part.corners})
-            ),
-            "sums": sum((part.sums for part in parts), ()),
-        },
-    )
+    attributes = {
+        "__annotations__": dict.fromkeys(coefficients, float),
+        "__doc__": f"The sum of {' and '.join(part.name for part in parts)}.",
+        "__module__": modules_of_users[0] if modules_of_users else __name__,
+        "__qualname__": name,
+        "name": name,
+        "parts": parts,
+        "formula": " + ".join(part.formula for part in parts),
+        "source": "; ".join(part.source for part in parts),
+        "predicts": "as its parts together",
+        "corners": tuple(sorted({angle for part in parts for angle in part.corners})),
+        "sums": tuple(names for part in parts for names in part.sums),
+    }
+    return type(name, (Sum,), coefficients | attributes)
 
 
-for _parts in (
-    (Power, Sideways),
-    (Power, Transverse),
-    (Power, Pivot),
-    (FrontBack, Sideways),
+for _sum in (
+    sum_of(Power, Sideways),
+    sum_of(Power, Transverse),
+    sum_of(Power, Pivot),
+    sum_of(FrontBack, Sideways),
 ):
-    _sum = sum_of(*_parts)
     LAWS[_sum.name] = _sum

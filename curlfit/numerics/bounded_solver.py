@@ -26,11 +26,13 @@ from jax import Array
 
 from curlfit.numerics.arrow_matrix import ArrowMatrix, Blocks
 
-# relative to the squared columns (Marquardt)
-_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8
-# factors of the damping after a step as predicted, and a rejected one ...
-_LESS, _MORE = 0.1, 3.0
-_FASTER = 2.0  # ... and of that factor after each further rejection
+# damping, relative to the squared columns (Marquardt)
+_LEAST_DAMPING = 1e-12
+_MOST_DAMPING = 1e8
+_LESS = 0.1  # factor of the damping after a step as predicted
+_SLIGHTLY_MORE = 2.0  # largest factor after an accepted step
+_MORE = 3.0  # factor after a rejected step ...
+_FASTER = 2.0  # ... and of this factor after each further rejection
 _ROUNDING = 1e-10  # share of the loss up to which a change may be rounding error
 _STEEPER = 30.0  # factor of the damping of a step that leads uphill
 _UPHILL = 1e-8  # share of the loss by which a projected step may lead uphill
@@ -41,6 +43,9 @@ _SMALL = 1e-10  # negligible step, relative to the size of the values
 # longest step that is taken without an evaluation, over the size of the values
 _UNSEEN_STEP = 0.1
 _REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
+# smallest square of a column over the largest, and by itself, in place of zero
+_LEAST_SQUARE = 1e-24
+_TINY = 1e-300
 
 Quadratic = Any
 """The Gauss-Newton model of the loss, half the sum of squares, about some values: an
@@ -73,21 +78,21 @@ class BoundedDescent(optx.AbstractDescent):
     def step(self, step_size: Any, state: Any) -> tuple[Array, Any]:
         """The step whose damping is one over the step size."""
         values, gradient, hessian = state
-        lower, upper = (
-            (end - values) / self.typical for end in (self.lower, self.upper)
-        )
-        held = (
-            (lower >= 0) & (gradient >= 0)
-            | (upper <= 0) & (gradient <= 0)
-            | (lower >= upper)
-        )
+        # the bounds of the step, over typical sizes
+        lower = (self.lower - values) / self.typical
+        upper = (self.upper - values) / self.typical
+        pushed_to_lower = (lower >= 0) & (gradient >= 0)
+        pushed_to_upper = (upper <= 0) & (gradient <= 0)
+        held = pushed_to_lower | pushed_to_upper | (lower >= upper)
         square = jnp.where(held, 0.0, hessian.diagonal())
-        column_size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
+        least_square = _LEAST_SQUARE * square.max() + _TINY
+        column_size = jnp.sqrt(jnp.maximum(square, least_square))
 
         def outside(held: Array, step: Array) -> Array:
             return ~held & ((step < lower) | (step > upper))
 
-        def narrower(held: Array, step: Array) -> tuple[Array, Array]:
+        def with_more_held(held: Array, step: Array) -> tuple[Array, Array]:
+            """The step of the others, with those outside held at their bounds."""
             held = held | outside(held, step)
             step = jnp.where(held, jnp.clip(step, lower, upper), 0.0)
             scale = jnp.where(held, 0.0, 1 / column_size)
@@ -97,14 +102,18 @@ class BoundedDescent(optx.AbstractDescent):
             right = -(gradient + hessian.mv(step)) * scale
             return held, jnp.where(held, step, matrix.solve(right) * scale)
 
-        start = held, jnp.zeros_like(values)
-        _, step = _repeated(narrower, lambda *sets: outside(*sets).any(), start)
+        def any_outside(held: Array, step: Array) -> Array:
+            return outside(held, step).any()
+
+        start = (held, jnp.zeros_like(values))
+        _, step = _repeated(with_more_held, any_outside, start)
         change = jnp.clip(step * self.typical, self.lower - values, self.upper - values)
         return change, optx.RESULTS.successful
 
     def moved(self, y: Array, change: Array) -> Array:
         """The values after a step, which reaches a bound exactly."""
-        at_lower, at_upper = change <= self.lower - y, change >= self.upper - y
+        at_lower = change <= self.lower - y
+        at_upper = change >= self.upper - y
         moved = jnp.where(at_upper, self.upper, y + change)
         return jnp.clip(jnp.where(at_lower, self.lower, moved), self.lower, self.upper)
 
@@ -144,24 +153,27 @@ class GainRatio(optx.AbstractSearch):
         state: Damping,
     ) -> tuple[Array, Array, Any, Damping]:
         """Judge the trial; the reduction becomes inf where it is rejected."""
-        before, now = f_info.f, f_eval_info.f
-        rounding = (state.reduction <= _ROUNDING * before) & (
+        before = f_info.f
+        now = f_eval_info.f
+        below_rounding = (state.reduction <= _ROUNDING * before) & (
             now <= (1 + _ROUNDING) * before
         )
-        accept = (now <= before) | rounding
+        accept = (now <= before) | below_rounding
         accept &= jnp.isfinite(now) & f_eval_info.hessian.is_finite()
-        known = jnp.isfinite(before) & jnp.isfinite(now) & ~rounding
-        fall = jnp.where(known, before, 1.0) - jnp.where(known, now, 0.0)
-        gain = jnp.where(known, fall / jnp.maximum(state.reduction, 1e-300), 1.0)
-        factor = jnp.where(
-            accept, jnp.clip(1 - (2 * gain - 1) ** 3, _LESS, 2.0), state.growth
+        # Where the ratio says something; elsewhere the step counts as predicted.
+        is_measured = jnp.isfinite(before) & jnp.isfinite(now) & ~below_rounding
+        fall = jnp.where(is_measured, before, 1.0) - jnp.where(is_measured, now, 0.0)
+        gain = fall / jnp.maximum(state.reduction, _TINY)
+        gain = jnp.where(is_measured, gain, 1.0)
+        # a tenth at a gain as predicted, 1 at half of it, up to 2 below
+        after_accepted = jnp.clip(1 - (2 * gain - 1) ** 3, _LESS, _SLIGHTLY_MORE)
+        factor = jnp.where(accept, after_accepted, state.growth)
+        search = Damping(
+            damping=jnp.maximum(state.damping * factor, _LEAST_DAMPING),
+            growth=jnp.where(accept, _MORE, state.growth * _FASTER),
+            reduction=jnp.where(accept, state.reduction, jnp.inf),
         )
-        found = Damping(
-            jnp.maximum(state.damping * factor, _LEAST_DAMPING),
-            jnp.where(accept, _MORE, state.growth * _FASTER),
-            jnp.where(accept, state.reduction, jnp.inf),
-        )
-        return 1 / found.damping, accept, optx.RESULTS.successful, found
+        return 1 / search.damping, accept, optx.RESULTS.successful, search
 
 
 class SolverState(eqx.Module):
@@ -228,39 +240,40 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
     ) -> SolverState:
         """Required by optimistix."""
         count, width = self.blocks.index.shape
-        nothing = self.blocks.normal(jnp.zeros((count, 0, width)))
-        model = _quadratic(jnp.full((), jnp.inf), jnp.zeros_like(y), nothing)
-        no, unknown = (
-            jnp.zeros((), bool),
-            jnp.full((*f_struct.shape, 1 + width), jnp.nan),
-        )
+        no_hessian = self.blocks.normal(jnp.zeros((count, 0, width)))
+        model = _quadratic(jnp.full((), jnp.inf), jnp.zeros_like(y), no_hessian)
+        no = jnp.zeros((), bool)
+        # not evaluated yet
+        rows = jnp.full((*f_struct.shape, 1 + width), jnp.nan)
         return SolverState(
-            self.descent.moved(y, jnp.zeros_like(y)),
-            model,
-            unknown[..., 0],
-            unknown[..., 1:],
-            self.search.init(y, model),
-            no,
-            jnp.zeros((), int),
-            no,
-            no,
+            trial=self.descent.moved(y, jnp.zeros_like(y)),
+            model=model,
+            residual=rows[..., 0],
+            jacobian=rows[..., 1:],
+            search=self.search.init(y, model),
+            settled=no,
+            evaluations=jnp.zeros((), int),
+            done=no,
+            success=no,
         )
 
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
     ) -> tuple[Array, SolverState, Any]:
         """Evaluate the trial, judge it, and choose the next or the last step."""
-        *here, aux = self._evaluated(lambda values: fn(values, args), state.trial)
-        _, accept, _, search = self.search.step(
-            state.evaluations == 0, y, state.trial, state.model, here[0], state.search
+        model, residual, jacobian, aux = self._evaluated(
+            lambda values: fn(values, args), state.trial
         )
-        best = state.trial, *here
+        _, accept, _, search = self.search.step(
+            state.evaluations == 0, y, state.trial, state.model, model, state.search
+        )
         y, model, residual, jacobian = jax.tree.map(
             lambda new, old: jnp.where(accept, new, old),
-            best,
+            (state.trial, model, residual, jacobian),
             (y, state.model, state.residual, state.jacobian),
         )
-        evaluations, loss = state.evaluations + 1, model.f
+        evaluations = state.evaluations + 1
+        loss = model.f
         failed = ~jnp.isfinite(loss) | (evaluations >= self.control.most)
         descent = self.descent.query(y, model, None)
 
@@ -277,19 +290,22 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
             return damping, change, self.search.predicted(change, model)
 
         # A step to a bound may lead uphill; a shorter one does not.
-        begin = search.damping, jnp.zeros_like(y), jnp.zeros(())
+        begin = (search.damping, jnp.zeros_like(y), jnp.zeros(()))
         damping, change, reduction = _repeated(shorter, uphill, begin)
         failed |= damping > _MOST_DAMPING
 
+        # The end, first by the reductions: that of the step after this one is
+        # extrapolated from their ratio.
         light = damping <= _HEAVY
         previous = search.reduction
         ratio = jnp.where(
-            jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0
+            jnp.isfinite(previous), reduction / jnp.maximum(previous, _TINY), 1.0
         )
         after = reduction * jnp.where(ratio < 1, ratio, 1.0)
         last = reduction <= self.control.extrapolated * loss
         last &= (after <= self.control.remaining * loss) & light & ~failed
         not_shrinking = (previous <= _ROUNDING * loss) & (reduction >= previous)
+        # by the length of the step
         share = jnp.abs(change) / (self.descent.typical + jnp.abs(y))
         small = (share <= _SMALL).all() & (damping <= self.search.first)
         # If the model is not smooth, trials may be rejected however short
@@ -301,27 +317,33 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
 
         # A far step gains nothing along a level direction, and is not taken unseen.
         step = jnp.where(last & (share <= _UNSEEN_STEP).all(), change, 0.0)
-        along = step[self.blocks.index].reshape(
+        # of each block, before all of its rows
+        step_by_block = step[self.blocks.index].reshape(
             -1, *(1,) * (residual.ndim - 1), jacobian.shape[-1]
         )
-        residual = residual + (jacobian * along).sum(-1)
+        residual = residual + (jacobian * step_by_block).sum(-1)
         state = SolverState(
-            self.descent.moved(y, change),
-            model,
-            residual,
-            jacobian,
-            Damping(damping, search.growth, reduction),
-            settled,
-            evaluations,
-            failed | success,
-            success,
+            trial=self.descent.moved(y, change),
+            model=model,
+            residual=residual,
+            jacobian=jacobian,
+            search=Damping(damping, search.growth, reduction),
+            settled=settled,
+            evaluations=evaluations,
+            done=failed | success,
+            success=success,
         )
         return self.descent.moved(y, step), state, aux
 
     def _evaluated(
         self, function: Any, values: Array
     ) -> tuple[Quadratic, Array, Array, Any]:
-        index, (count, width) = self.blocks.index, self.blocks.index.shape
+        """The model of the loss at some values, with residual, Jacobian and what else
+        the function returns."""
+        index = self.blocks.index
+        count, width = index.shape
+        # One seed for each place of a parameter in a block: every block moves along its
+        # own parameter at this place.
         seeds = jnp.zeros((values.size, width)).at[index, jnp.arange(width)].set(1.0)
 
         def along(seed: Array) -> Any:

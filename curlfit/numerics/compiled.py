@@ -86,9 +86,9 @@ class _CompiledFunction:
             return self.jitted(*args)
         require_jax()
         call = self._call(args)
-        program, new = self._program(call)
-        if new:
-            self._make(program, call, args)
+        program, is_new = self._program(call)
+        if is_new:
+            self._make(program, call)
         return program.result()(*call.arrays)
 
     def prepare(self, *args: Any) -> None:
@@ -96,32 +96,41 @@ class _CompiledFunction:
         require_jax()
         if cores() > 1:
             call = self._call(args)
-            program, new = self._program(call)
-            if new:
-                Thread(target=self._make, args=(program, call, args)).start()
+            program, is_new = self._program(call)
+            if is_new:
+                Thread(target=self._make, args=(program, call)).start()
 
     def _call(self, args: tuple[Any, ...]) -> _Call:
-        named = list(zip(self.static, args, strict=True))
+        fixed = []
+        arguments = []
+        for value, static in zip(args, self.static, strict=True):
+            if static:
+                fixed.append(value)
+            else:
+                arguments.append(value)
         # Lists and Python numbers become arrays, so that not every type is
         # compiled separately.
         arrays = jax.tree.map(
             lambda leaf: leaf if isinstance(leaf, jax.Array) else np.asarray(leaf),
-            tuple(value for static, value in named if not static),
+            tuple(arguments),
         )
-        return _Call(tuple(value for static, value in named if static), arrays)
+        return _Call(tuple(fixed), arrays)
 
     def _program(self, call: _Call) -> tuple[Future[Any], bool]:
         """The program of a call, and whether the caller has to make it."""
+        key = (self, call.key)
         with _lock:
-            key = self, call.key
             program = _programs.pop(key, None)
-            new = program is None
-            _programs[key] = program = program or Future()
+            is_new = program is None
+            if program is None:
+                program = Future()
+            _programs[key] = program  # as the last
             if len(_programs) > _MOST_LOADED:
                 del _programs[next(iter(_programs))]
-        return program, new
+        return program, is_new
 
-    def _make(self, program: Future[Any], call: _Call, args: tuple[Any, ...]) -> None:
+    def _make(self, program: Future[Any], call: _Call) -> None:
+        """Load or compile the program of a call."""
         try:
             program.set_result(self._stored_or_compiled(call))
         except BaseException as error:  # raised where the program is called
@@ -136,36 +145,34 @@ class _CompiledFunction:
             lowered = self._lowered(call)
             identity = lowered.as_text()
         file = _file(f"{self.optimize}\n{identity}")
-        found = None if file is None else _load(file)
-        if found is None:
-            found = _compile(lowered or self._lowered(call), self.optimize)
-            if file is not None:
-                # Some devices cannot serialize programs, and none can once they
-                # have been run: JAX returns such a one if the same function is
-                # compiled again.
-                with suppress(
-                    ValueError, NotImplementedError, jax.errors.JaxRuntimeError
-                ):
-                    cache.write(file, pickle.dumps(serialize(found)))
-        return found
+        stored = None if file is None else _load(file)
+        if stored is not None:
+            return stored
+        program = _compile(lowered or self._lowered(call), self.optimize)
+        if file is not None:
+            # Some devices cannot serialize programs, and none can once they have been
+            # run: JAX returns such a one if the same function is compiled again.
+            with suppress(ValueError, NotImplementedError, jax.errors.JaxRuntimeError):
+                cache.write(file, pickle.dumps(serialize(program)))
+        return program
 
     def _identity(self, call: _Call) -> str | None:
         """Text that tells the program from all others of these sources; None with
         a user's law."""
-        words = [self.name, repr(call.key[1:])]
+        lines = [self.name, repr(call.key[1:])]
         for value in jax.tree.leaves(call.fixed):
             if isinstance(value, type):
                 if not value.shipped():  # type: ignore[attr-defined]
                     return None
                 value = value.__qualname__
-            words.append(str(value))
-        return "\n".join(words)
+            lines.append(str(value))
+        return "\n".join(lines)
 
     def _lowered(self, call: _Call) -> Any:
-        fixed, arrays = iter(call.fixed), iter(call.arrays)
-        lowered = self.jitted.lower(
-            *(next(fixed if static else arrays) for static in self.static)
-        )
+        fixed = iter(call.fixed)
+        arrays = iter(call.arrays)
+        args = [next(fixed if static else arrays) for static in self.static]
+        lowered = self.jitted.lower(*args)
         # The place in Python's sources of each operation takes a sixth of the time to
         # compile, a tenth of the time to load, and two fifths of the file.
         module: Any = lowered.compiler_ir()

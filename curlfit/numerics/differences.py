@@ -41,10 +41,15 @@ def slopes(
     of the shape of the value and, last, the number of these arguments.
     """
     at = np.asarray(at, float)
-    found = []
+    derivatives = []
     for along in np.diag(np.broadcast_to(step, at.shape))[where]:
         up = np.clip(at + along, lower, upper)
-        down = np.clip(at - along, lower, upper) if value is None else at
-        below = function(down) if value is None else value
-        found.append((np.asarray(function(up)) - below) / (up - down).sum())
-    return np.stack(found, -1)
+        if value is None:
+            down = np.clip(at - along, lower, upper)
+            value_down = function(down)
+        else:
+            down = at
+            value_down = value
+        difference = np.asarray(function(up)) - value_down
+        derivatives.append(difference / (up - down).sum())
+    return np.stack(derivatives, -1)

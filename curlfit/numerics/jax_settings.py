@@ -23,23 +23,23 @@ def require_jax() -> None:
         _require_compilation()
         _require_processor()
         return
-    given = os.environ.get(_DISABLE, "0")
-    if given.lower() not in _FALSE:
-        raise _no_compilation(f"{_DISABLE}={given}")
-    kinds = [os.environ[name].split(",") for name in _PLATFORMS if os.environ.get(name)]
-    if not all("cpu" in named for named in kinds):
-        _require_processor()
+    disabled = os.environ.get(_DISABLE, "0")
+    if disabled.lower() not in _FALSE:
+        raise _no_compilation(f"{_DISABLE}={disabled}")
+    for name in _PLATFORMS:
+        platforms = os.environ.get(name)
+        if platforms and "cpu" not in platforms.split(","):
+            _require_processor()
 
 
 def _require_compilation() -> None:
     import jax
 
     if jax.config.jax_disable_jit:  # type: ignore[attr-defined]
-        raise _no_compilation(
-            f"{_DISABLE}={os.environ[_DISABLE]}"
-            if _DISABLE in os.environ
-            else "jax.disable_jit"
-        )
+        setting = "jax.disable_jit"
+        if _DISABLE in os.environ:
+            setting = f"{_DISABLE}={os.environ[_DISABLE]}"
+        raise _no_compilation(setting)
 
 
 def _no_compilation(setting: str) -> InputError:
@@ -57,12 +57,12 @@ def _require_processor() -> None:
         jax.devices()
     except (RuntimeError, AssertionError) as error:  # the latter without a message
         values = {name: jax.config.values[name.lower()] for name in _PLATFORMS}
-        given = [f"{name}={value}" for name, value in values.items() if value]
-        if not given:
+        settings = [f"{name}={value}" for name, value in values.items() if value]
+        if not settings:
             raise InputError(
                 f"JAX finds no processor ({quoted(str(error))}); set JAX_PLATFORMS=cpu"
             ) from None
         raise InputError(
-            f"{' and '.join(given)}: JAX finds no such processor on this machine; "
+            f"{' and '.join(settings)}: JAX finds no such processor on this machine; "
             "leave it out, or set it to cpu"
         ) from None

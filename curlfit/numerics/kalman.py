@@ -48,10 +48,12 @@ class KalmanFilter(NamedTuple):
         def advance(
             variance: Array, row: tuple[Array, Array]
         ) -> tuple[Array, tuple[Array, Array]]:
+            """The variance of the process before the next row, from that before this
+            one (in all the variance is 1), with gain and scale of this row."""
             rate, seen = row
             total = variance + white
             gain = jnp.where(seen, variance / total, 0.0)
-            renewed = -jnp.expm1(-2 * rate)
+            renewed = -jnp.expm1(-2 * rate)  # share of the variance, in the gap
             left = (1 - renewed) * (1 - gain) * variance
             scale = jnp.where(seen, 1 / jnp.sqrt(total), 0.0)
             return left + renewed * (1 - white), (gain, scale)
@@ -61,13 +63,13 @@ class KalmanFilter(NamedTuple):
         return cls(decay, decay * gain.T, scale.T)
 
     def innovations(self, columns: Any) -> Array:
-        """What the rows before do not predict, over its standard deviation, of each
-        column; shape (channels, n, columns)."""
+        """What the rows before do not predict, over its standard deviation, of columns
+        of values, shape (channels, n, columns)."""
         innovations: Array = _innovations(self, columns)
         return innovations
 
     def log_determinant(self) -> Array:
-        """Of the whitening, by channel."""
+        """Logarithm of the determinant of the whitening, by channel."""
         return jnp.log(jnp.where(self.scale > 0, self.scale, 1.0)).sum(-1)
 
 
@@ -81,6 +83,7 @@ def _innovations(kalman: KalmanFilter, columns: Array) -> Array:
 
 
 def _innovation(prediction: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
+    """The prediction of the next row, and the innovation of this one."""
     decay, gain, scale, value = row
     innovation = value - prediction
     return decay * prediction + gain * innovation, scale * innovation

@@ -21,8 +21,9 @@ import numpy as np
 
 from curlfit.numerics.arrays import Floats
 
-# singular values, also over the largest, below which nothing is determined
-_UNSEEN = 1e-3, 1e-7
+# singular value below which nothing is determined: by itself, and over the largest
+_UNSEEN = 1e-3
+_UNSEEN_SHARE = 1e-7
 # information on effects over the largest, so that undetermined ones are zero
 _DIFFUSE = 1e-10
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
@@ -44,8 +45,8 @@ class MixedModel(NamedTuple):
     """directions of the mean that nothing determines, where it is held, as
     orthonormal columns"""
     prior: Floats
-    """the same of what is known of the mean besides, without the columns
-    of deviations"""
+    """sums of products of the rows of a prior of the mean, of the same columns but
+    those of the deviations"""
 
     @classmethod
     def of(
@@ -56,25 +57,44 @@ class MixedModel(NamedTuple):
         covariates: Floats,
         prior: tuple[Floats, Floats] | None = None,
     ) -> Self:
-        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior
-        is such rows of the mean, and z."""
+        """The model of observations.
+
+        Parameters
+        ----------
+        rows, target : A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows).
+        directions, covariates : D and x_i, see the class.
+        prior : rows of the mean, shape (n, mean), and what they give, shape (n,), with
+            errors of unit variance.
+        """
         size = rows.shape[-1]
-        besides = np.zeros((0, size + 1)) if prior is None else np.column_stack(prior)
-        known = np.concatenate([rows.reshape(-1, size), besides[:, :-1]])
-        factor: Any = np.linalg.qr(known, mode="r")
+        prior_rows = (
+            np.zeros((0, size + 1)) if prior is None else np.column_stack(prior)
+        )
+        all_rows = np.concatenate([rows.reshape(-1, size), prior_rows[:, :-1]])
+        factor: Any = np.linalg.qr(all_rows, mode="r")
         _, singular, axes = np.linalg.svd(factor)
-        seen = singular > max(_UNSEEN[0], _UNSEEN[1] * singular[0])
+        seen = singular > max(_UNSEEN, _UNSEEN_SHARE * singular[0])
         null = axes[int(seen.sum()) :].T
         directions = directions - null @ (null.T @ directions)
-        along = rows @ directions
-        effects = along[:, :, None, :] * covariates[:, None, :, None]
-        flat = effects.reshape(
-            *along.shape[:2], covariates.shape[1] * directions.shape[1]
+        deviations = rows @ directions
+        effects = deviations[:, :, None, :] * covariates[:, None, :, None]
+        effects = effects.reshape(
+            *deviations.shape[:2], covariates.shape[1] * directions.shape[1]
         )
-        whole = np.concatenate([along, rows, flat, target[..., None]], -1)
-        of_mean = np.zeros((len(besides), whole.shape[-1] - directions.shape[1]))
-        of_mean[:, :size], of_mean[:, -1] = besides[:, :-1], besides[:, -1]
-        return cls(whole.mT @ whole, directions, covariates, null, of_mean.T @ of_mean)
+        columns = np.concatenate([deviations, rows, effects, target[..., None]], -1)
+        # the same columns, but those of the deviations, on which a prior says nothing
+        prior_columns = np.zeros(
+            (len(prior_rows), columns.shape[-1] - directions.shape[1])
+        )
+        prior_columns[:, :size] = prior_rows[:, :-1]
+        prior_columns[:, -1] = prior_rows[:, -1]
+        return cls(
+            products=columns.mT @ columns,
+            directions=directions,
+            covariates=covariates,
+            null=null,
+            prior=prior_columns.T @ prior_columns,
+        )
 
     def with_covariates(self, covariates: Floats) -> Self:
         """The model with further covariates, shape (blocks, covariates)."""
@@ -89,10 +109,10 @@ class MixedModel(NamedTuple):
             blocks, deviations, effects
         )
         change[:, -1, -1] = 1.0
-        of_mean = len(self.prior) - 1
-        place = np.full((effects, 1), of_mean)
-        prior = np.insert(self.prior, place[:, 0], 0.0, axis=0)
-        prior = np.insert(prior, place[:, 0], 0.0, axis=1)
+        # a prior says nothing of effects; its last column is that of the observations
+        places = np.full(effects, len(self.prior) - 1)
+        prior = np.insert(self.prior, places, 0.0, axis=0)
+        prior = np.insert(prior, places, 0.0, axis=1)
         return self._replace(
             products=change.mT @ self.products @ change,
             covariates=np.concatenate([self.covariates, covariates], 1),
@@ -109,16 +129,22 @@ class MixedModel(NamedTuple):
         return self.products[:, k:, k:] - cross.mT @ solved, determinants
 
     def marginal_sum(self, variances: Floats) -> tuple[Floats, Floats]:
-        """The sums of these over the blocks, without those of each."""
+        """The sums over the blocks of what `marginal` returns, without the arrays of
+        each."""
         k = variances.shape[-1]
         cross, solved, determinants = self._integrated(variances)
-        left, right = (
-            one.reshape(*one.shape[:-3], -1, one.shape[-1]) for one in (cross, solved)
-        )
-        return self.products[:, k:, k:].sum(0) - left.mT @ right, determinants.sum(-1)
+        # one below the other
+        cross = cross.reshape(*cross.shape[:-3], -1, cross.shape[-1])
+        solved = solved.reshape(*solved.shape[:-3], -1, solved.shape[-1])
+        products = self.products[:, k:, k:].sum(0) - cross.mT @ solved
+        return products, determinants.sum(-1)
 
     def _integrated(self, variances: Floats) -> tuple[Floats, Floats, Floats]:
-        k, root = variances.shape[-1], np.sqrt(variances)[..., None, :, None]
+        """Of each block, for deviations in units of their standard deviations: their
+        products with the other columns, these divided by the matrix of the deviations,
+        and the logarithm of its determinant."""
+        k = variances.shape[-1]
+        root = np.sqrt(variances)[..., None, :, None]
         inner = np.eye(k) + root * self.products[:, :k, :k] * root.mT
         cross = root * self.products[:, :k, k:]
         solved: Any = np.linalg.solve(inner, cross)
@@ -152,9 +178,10 @@ class MixedModel(NamedTuple):
         with_mean = integrated[:, :, k:-1]
         normal, right, _ = self.parts(self.marginal_sum(variances)[0])
         mean: Any = np.linalg.solve(normal, right)
-        left_over = integrated[:, :, -1] - with_mean @ mean
-        told = ((with_mean @ np.linalg.inv(normal)) * with_mean).sum(-1)
-        slopes: Floats = (of_deviation - told - left_over**2).sum(0)
+        unexplained = integrated[:, :, -1] - with_mean @ mean
+        # by which the determinant of the normal matrix changes
+        by_mean = ((with_mean @ np.linalg.inv(normal)) * with_mean).sum(-1)
+        slopes: Floats = (of_deviation - by_mean - unexplained**2).sum(0)
         return slopes
 
     def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
@@ -179,11 +206,13 @@ class MixedModel(NamedTuple):
         """Variances of the deviations as a typical block tells them."""
         information = np.diagonal(self.products, axis1=1, axis2=2)
         of_deviations = information[:, : self.directions.shape[1]]
-        found: Floats = 1 / np.maximum(np.median(of_deviations, axis=0), 1e-300)
-        return found
+        typical_information = np.maximum(np.median(of_deviations, axis=0), 1e-300)
+        variances: Floats = 1 / typical_information
+        return variances
 
     def variances(self, guess: Floats) -> Floats:
-        """Of the deviations, by restricted maximum likelihood."""
+        """Variances of the deviations, by restricted maximum likelihood; zero where
+        this is hardly less likely."""
         from scipy.optimize import minimize  # slow to load
 
         def by_logarithms(logarithms: Floats) -> tuple[float, Floats]:
@@ -219,13 +248,14 @@ def within(
     free: Floats, root: Floats, sides: Floats, limits: Floats
 ) -> tuple[Floats, Floats]:
     """The x nearest to `free`, by the length of root (x - free), where sides x >=
-    limits, and the sides at their limit: least distance programming (Lawson and Hanson
-    1974, ch. 23)."""
+    limits, and the sides at their limit."""
     from scipy.optimize import nnls  # slow to load
 
     violated = limits - sides @ free
     if not (violated > _OUTSIDE).any():
         return free, sides[:0]
+    # Least distance programming by nonnegative least squares (Lawson and Hanson 1974,
+    # ch. 23) for the step root (x - free), with sides of length 1 and limits up to 1.
     along = np.linalg.solve(root.T, sides.T)
     size = np.maximum(np.linalg.norm(along, axis=0), np.finfo(float).tiny)
     scale = (violated / size).max()
@@ -262,14 +292,15 @@ class MixedFit:
     where none is"""
 
     @cached_property
-    def _each(self) -> Floats:
+    def _products(self) -> Floats:
+        """Of each block, with the deviations integrated out."""
         return self.model.marginal(self.variances)[0]
 
     @cached_property
     def _bounded(self) -> tuple[Floats, Floats]:
         """The mean and the effects, and the sides of bounds that they are at."""
         means = self.at(np.unique(self.model.covariates, axis=0))
-        normal, right, _ = self.model.parts(self._each.sum(0))
+        normal, right, _ = self.model.parts(self._products.sum(0))
         root: Any = np.linalg.cholesky(normal).T
         sides, limits = _sides(means, self.lower, self.upper)
         free: Any = np.linalg.solve(normal, right)
@@ -287,26 +318,27 @@ class MixedFit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Of the estimate along what is determined, while what is at a bound
+        """Covariance of the estimate along what is determined, while what is at a bound
         stays there."""
-        normal = self.model.parts(self._each.sum(0))[0]
-        found = self._with_cut(np.linalg.inv(normal))
-        to_held = self._bounded[1] @ found
-        found = (
-            found - to_held.T @ np.linalg.pinv(to_held @ self._bounded[1].T) @ to_held
-        )
-        size, null = len(self.model.null), self.model.null
-        found[:size] -= null @ (null.T @ found[:size])
-        found[:, :size] -= (found[:, :size] @ null) @ null.T
-        return found
+        normal, _, _ = self.model.parts(self._products.sum(0))
+        covariance = self._with_cut(np.linalg.inv(normal))
+        _, held_sides = self._bounded
+        of_held = held_sides @ covariance
+        removed = of_held.T @ np.linalg.pinv(of_held @ held_sides.T) @ of_held
+        covariance = covariance - removed
+        null = self.model.null
+        size = len(null)
+        covariance[:size] -= null @ (null.T @ covariance[:size])
+        covariance[:, :size] -= (covariance[:, :size] @ null) @ null.T
+        return covariance
 
     @property
     def unbounded(self) -> tuple[Floats, Floats]:
         """The estimate without bounds, and its covariance, one along the
         null directions."""
-        normal, right, _ = self.model.parts(self._each.sum(0))
-        matrix: Any = np.linalg.inv(normal)
-        return matrix @ right, self._with_cut(matrix)
+        normal, right, _ = self.model.parts(self._products.sum(0))
+        covariance: Any = np.linalg.inv(normal)
+        return covariance @ right, self._with_cut(covariance)
 
     def at(self, covariates: Floats) -> Floats:
         """Matrix from the estimate to the mean where the covariates have some values,
@@ -317,19 +349,19 @@ class MixedFit:
         """Mean and covariance of the vector of each block before its own observations;
         along the null directions the variance is one. What is cut has the variance that
         the model gives it."""
-        normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
+        normal, right, _ = self.model.parts(self._products.sum(0) - self._products)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])
         directions = self.model.directions
         between = directions * self.variances @ directions.T
         return mean[..., 0], to @ np.linalg.inv(normal) @ to.mT + between
 
-    def _with_cut(self, matrix: Any) -> Any:
-        """Covariances of the estimate in which what is cut has its own variance."""
+    def _with_cut(self, covariance: Any) -> Any:
+        """The covariance of the estimate in which what is cut has its own variance."""
         which = np.flatnonzero(self.cut)
         if not len(which):
-            return matrix
-        return matrix + added_by_cut(matrix, which, self.cut[which])
+            return covariance
+        return covariance + added_by_cut(covariance, which, self.cut[which])
 
 
 def following(matrix: Any, which: Any) -> Floats:
@@ -344,13 +376,14 @@ def added_by_cut(matrix: Any, which: Any, variances: Floats) -> Floats:
     """What a covariance lacks where some of its numbers, by index, have other variances
     of their own, and all others follow them."""
     followed = following(matrix, which)
-    more = np.diag(variances) - matrix[..., which[:, None], which]
-    added: Floats = followed @ more @ followed.mT
+    change = np.diag(variances) - matrix[..., which[:, None], which]
+    added: Floats = followed @ change @ followed.mT
     return added
 
 
 def _sides(to: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """Bounds of `to` x, matrices of shape (points, vector, x), as sides x >= limits."""
-    ends = np.concatenate([lower, -upper])
-    sides = np.concatenate([to, -to], 1)[:, np.isfinite(ends)].reshape(-1, to.shape[-1])
-    return sides, np.tile(ends[np.isfinite(ends)], len(to))
+    limits = np.concatenate([lower, -upper])
+    is_bounded = np.isfinite(limits)
+    sides = np.concatenate([to, -to], 1)[:, is_bounded]
+    return sides.reshape(-1, to.shape[-1]), np.tile(limits[is_bounded], len(to))

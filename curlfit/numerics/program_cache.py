@@ -37,8 +37,9 @@ def folder() -> Path | None:
         if root is None:
             return None
         path = root / "programs"
-        for missing in [p for p in (*reversed(path.parents), path) if not p.exists()]:
-            missing.mkdir(mode=0o700, exist_ok=True)
+        for directory in (*reversed(path.parents), path):
+            if not directory.exists():
+                directory.mkdir(mode=0o700, exist_ok=True)
         writable = next((p for p in (path, *path.parents) if _open_to_others(p)), None)
     except (OSError, RuntimeError):  # the latter without a home directory
         return None
@@ -85,8 +86,9 @@ def read(file: Path) -> bytes | None:
         os.utime(file)
     except OSError:
         return None
-    digest, content = content[:32], content[32:]
-    return content if _digest(file, content) == digest else None
+    digest = content[:32]
+    program = content[32:]
+    return program if _digest(file, program) == digest else None
 
 
 def _digest(file: Path, content: bytes) -> bytes:
@@ -98,11 +100,9 @@ def write(file: Path, content: bytes) -> None:
     not possible."""
     with suppress(InputError, OSError):
         atomic_write(file, _digest(file, content) + content, private=True)
-        used = sorted(
-            ((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True
-        )
+        used = [(path.stat().st_mtime_ns, path) for path in file.parent.iterdir()]
         total = 0
-        for _, path in used:
+        for _, path in sorted(used, reverse=True):
             total += path.stat().st_size
             if total > LIMIT:
                 path.unlink(missing_ok=True)

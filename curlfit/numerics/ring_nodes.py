@@ -75,8 +75,8 @@ def node_clustering(v: Array, u: Array) -> NodeClustering:
     m/s; any shape."""
     v, u = jax.lax.stop_gradient((v, u))
     side = jnp.where(u >= 0, 1.0, -1.0)
-    # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)) clusters
-    # nodes at t = 0.
+    # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)), with Gauss
+    # nodes s in (0, 1), clusters nodes at t = 0.
     width = jnp.maximum(singularity_distance(v, u), _MIN_DISTANCE) / 2
     sinh_range = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
     return NodeClustering(
@@ -111,12 +111,19 @@ def nodes_between(
     clustering: NodeClustering,
     section: tuple[Any, Any] = (0.0, 1.0),
 ) -> Nodes:
-    """Nodes of the part of a half between two half angles from the slowest point, or of
-    a section of this part, such as (0.5, 1.0), in the variable in which nodes are those
-    of Gauss."""
+    """Nodes of the part of a half of the ring between two half angles from the slowest
+    point, or of a section of this part, such as (0.5, 1.0): a share of its range of s
+    (`node_clustering`)."""
     side, width, sinh_range, _ = clustering
-    low, high = (jnp.arcsinh(jnp.tan(b / 2) / width) / sinh_range for b in ends)
-    begin, end = (low * (1 - share) + high * share for share in section)
+
+    def variable(b: Array) -> Array:
+        """s of `node_clustering`, the inverse of t = width sinh(s sinh_range)."""
+        return jnp.arcsinh(jnp.tan(b / 2) / width) / sinh_range
+
+    low = variable(ends[0])
+    high = variable(ends[1])
+    begin = low * (1 - section[0]) + high * section[0]
+    end = low * (1 - section[1]) + high * section[1]
     return _nodes(side, width, sinh_range, begin, end)
 
 

@@ -38,7 +38,7 @@ def in_threads(
 
     pool = ThreadPoolExecutor(min(cores(), _MOST_THREADS))
     try:
-        yield pool.map(lambda given: function(*given), arguments)
+        yield pool.map(lambda args: function(*args), arguments)
     finally:
         pool.shutdown(cancel_futures=True)
 
