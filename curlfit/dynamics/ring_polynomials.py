@@ -223,7 +223,8 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
     if powers.e_xi or powers.e_eta:
         components = means[powers.speed][powers.e_eta]
     mean_in_front = getattr(components, _MEANS[powers.xi, powers.eta])
-    # The front and the back half slide to opposite sides.
+    # The mirror eta -> -eta takes the front half to the back half, which slides to the
+    # opposite side: of (xi, eta, e_xi, e_eta), eta and e_xi change their signs.
     mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
     return -mean_in_front if mirrored else mean_in_front
 

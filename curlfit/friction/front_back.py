@@ -8,7 +8,7 @@ from curlfit.stone import GRAVITY
 
 
 class _FrontBackCoefficients(Law):
-    sums = (("mu1_eta", "mu2_eta"),)
+    sums = (("mu1_eta", "mu2_eta"),)  # columns of tables; a fit finds them by itself
 
     mu1_xi: float = coefficient(
         0.005,
@@ -31,9 +31,19 @@ class FrontBack(_FrontBackCoefficients, LocalLaw):
     """Friction across and along the motion with separate coefficients on each half
     of the ring.
 
-    Under uniform load only `mu1_eta + mu2_eta` enters the motion: the ring integrals of
-    the two halves are equal term by term, for every spin, since eta -> -eta leaves
-    e_eta as it is and turns e_xi.
+    Under uniform load only `mu1_eta + mu2_eta` enters the motion. The mirror eta ->
+    -eta takes the front half to the back half. There the velocity of sliding
+    (-u eta, v + u xi), u = R omega, has the same component along the motion and the
+    opposite one across it: e_eta stays, e_xi changes its sign. With the means < > over
+    the front half, friction per unit load and its moment are, for every spin,
+
+        T_xi  = -(mu1_xi - mu2_xi) <e_xi>/2
+        T_eta = -(mu1_eta + mu2_eta) <e_eta>/2
+        M     = -(mu1_eta + mu2_eta) <xi e_eta>/2 + (mu1_xi + mu2_xi) <eta e_xi>/2
+
+    The curl tells the difference of the coefficients across the motion, the spin their
+    sum, and nothing tells those along it apart (`ring_polynomials.mean_of_half` has
+    these signs; under another load the mirror does not hold).
     """
 
     name = "front-back"
