@@ -108,6 +108,12 @@ METRES = PLAIN.replace("x,y", "x_m,y_m")
         (PIXELS, "", "", "positions are in pixels; give four or more known points"),
         (METRES, POINTS, "", "has no positions in pixels"),
         ("t,u,v\n0,320,-140\n1,320,-150\n", POINTS, "", "horizon"),
+        (
+            "t,u,v\n" + "".join(f"{k},320,{240 + k}\n" for k in range(12)),
+            POINTS,
+            "",
+            "no values of u that change",
+        ),
         *(
             (PIXELS, points, "", words)
             for points, words in (

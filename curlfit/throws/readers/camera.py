@@ -51,6 +51,12 @@ def pixels_to_metres(
         )
     if {"x", "y"} & columns.keys():
         raise parsed.error("positions in pixels and in metres; remove one pair")
+    for name in ("u", "v"):
+        if name not in columns:
+            raise parsed.error(
+                f"no values of {name} that change: a place on the ice needs both "
+                "coordinates of its pixel, u and v"
+            )
     plane = load_homography(Path(reference), as_given)
     u = columns.pop("u")
     v = columns.pop("v")
@@ -66,7 +72,7 @@ def pixels_to_metres(
         )
     columns["x"] = x
     columns["y"] = y
-    if "x_mark" in columns:
+    if {"x_mark", "y_mark"} <= columns.keys():
         columns["x_mark"], columns["y_mark"] = plane(
             columns["x_mark"], columns["y_mark"]
         )
