@@ -74,8 +74,9 @@ def with_passages(
         """y of each line, or of the edge if it lies beyond, and of two points to either
         side of the edge."""
         edge = y_rest - _EDGE
+        reached = jnp.minimum(lines, edge)
         near_edge = edge + _NEAR * jnp.array([-1.0, 1.0])
-        return jnp.concatenate([jnp.minimum(lines, edge), near_edge])
+        return jnp.concatenate([reached, near_edge])
 
     def search(stage: Array, t: Array) -> Array:
         """Times to evaluate next, of which the first ones are those of the targets."""
@@ -86,8 +87,8 @@ def with_passages(
         points = duration * (1 - jnp.linspace(1.0, 0.0, _POINTS) ** 2)
         # then, the times between these; last, a step of Newton's method
         between = t.at[:count].set(_times_at(y, path))
-        vy = jnp.maximum(path.vy[:count], _SLOWEST)
-        later = t[:count] + (y - path.y[:count]) / vy
+        later = t[:count]
+        later += (y - path.y[:count]) / jnp.maximum(path.vy[:count], _SLOWEST)
         newton = t.at[:count].set(jnp.maximum(later, 0.0))
         return jnp.where(stage == 0, points, jnp.where(stage == 1, between, newton))
 

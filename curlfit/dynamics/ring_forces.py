@@ -215,10 +215,11 @@ def _slopes_on_ring(
         return slopes
     # zeros for the coefficients that it lacks, after those that it has
     before = sum(place < count for place in places)
-    zeros = contact.zeros(lacking)
-    return tuple(
-        jnp.concatenate([part[:before], zeros, part[before:]]) for part in slopes
-    )
+
+    def with_zeros(part: Array) -> Array:
+        return jnp.concatenate([part[:before], contact.zeros(lacking), part[before:]])
+
+    return tuple(map(with_zeros, slopes))
 
 
 def _along(
