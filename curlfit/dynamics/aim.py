@@ -136,8 +136,11 @@ def aim(
         direction = bearing - math.atan2(*end_at(v0))
         # The path depends on the heading only through the direction of the slope.
         if environment is None or abs(direction - previous) < _TOLERANCE / distance:
-            break
-    return Aim(v0, direction)
+            return Aim(v0, direction)
+    raise InputError(
+        f"no throw found: on ice that slopes so much its heading did not settle in "
+        f"{_MAX_TURNS} trials; the last was {direction:.4g} rad, at {v0:.4g} m/s"
+    )
 
 
 def _speed_without(
