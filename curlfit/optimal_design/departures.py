@@ -304,7 +304,7 @@ class _Plan:
         """A point in the free coefficients; the slopes are those that no change of the
         initial states makes up for."""
         free = self.assumed.free
-        moving = self.bounded.upper > self.bounded.lower
+        moving = self.bounded.free
         moving[: len(self.assumed.values)] = False
         held = None
         if point.held is not None:

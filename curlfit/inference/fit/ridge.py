@@ -21,6 +21,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.information.directions import r_factor, wide_errors
 from curlfit.inference.information.ridge_information import demanded_errors
 from curlfit.inference.information.thresholds import FAR_LESS, INTERVAL
@@ -217,7 +218,7 @@ class _Side:
         """All parameters with a new value of the one that is held, where the others
         follow from the last point so that residuals change least to first order."""
         typical = self.fit.typical
-        others = self.fit.upper > self.fit.lower
+        others = Bounded(last.values, self.fit.lower, self.fit.upper).free
         others[self.index] = False
         slopes = last.slopes * typical
         by_held = slopes[:, self.index] / typical[self.index]

@@ -227,7 +227,7 @@ class _Search:
             if not optima_of_throw or optima_of_throw[0].success:
                 continue
             best = optima_of_throw[0]
-            free = np.flatnonzero(upper[row] > lower[row])
+            free = np.flatnonzero(self.tasks.free[row])
             slopes = best.jacobian.reshape(-1, len(typical)) * typical
             # The last direction is that in which the residuals change least.
             _, _, directions = np.linalg.svd(slopes[:, free], full_matrices=False)
@@ -253,7 +253,7 @@ class _Search:
                 continue
             best = optima_of_throw[0]
             usual = usual_where_astray(law, best.values, self.tasks.typical)
-            astray = np.isfinite(usual) & (upper[row] > lower[row])
+            astray = np.isfinite(usual) & self.tasks.free[row]
             if astray.any():
                 starts[row] = [np.where(astray, usual, best.values)]
                 lower[row, astray] = usual[astray]

@@ -30,6 +30,12 @@ class Bounded(NamedTuple):
         infinite = np.full(np.shape(values), np.inf)
         return cls(values, -infinite, infinite)
 
+    @property
+    def free(self) -> Booleans:
+        """Which parameters are not fixed: those that are have equal bounds."""
+        is_free: Booleans = self.upper > self.lower
+        return is_free
+
     def alone_limit(
         self, directions: Floats, singular: Floats, typical: Floats
     ) -> Booleans:
@@ -42,8 +48,7 @@ class Bounded(NamedTuple):
             and (..., directions).
         """
         step = directions * typical / np.maximum(singular, 1e-300)[..., None]
-        is_free = (self.upper > self.lower)[..., None, :]
-        moved = is_free & (np.abs(directions) > _ROUNDING)
+        moved = self.free[..., None, :] & (np.abs(directions) > _ROUNDING)
         below = np.where(moved, (self.values - self.lower)[..., None, :], np.inf)
         above = np.where(moved, (self.upper - self.values)[..., None, :], np.inf)
         size = np.maximum(np.abs(step), 1e-300)

@@ -126,8 +126,7 @@ class Information:
     @property
     def free(self) -> Booleans:
         """Which parameters are not fixed."""
-        is_free: Booleans = self.upper > self.lower
-        return is_free
+        return self.bounded.free
 
     def at(self, index: Any) -> Self:
         """One of a stack, or some."""

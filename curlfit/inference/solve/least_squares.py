@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from curlfit.inference.information.bounds import Bounded
 from curlfit.inference.model.likelihood import weighted_residuals
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.parameters import ParameterSet
@@ -133,6 +134,11 @@ class Tasks(NamedTuple):
         stacks = self.problems, self.start, self.lower, self.upper, self.penalty
         problems, start, lower, upper, penalty = at(stacks, as_slice(which))
         return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
+
+    @property
+    def free(self) -> Booleans:
+        """Which parameters are not fixed, of the shape of `start`."""
+        return Bounded(self.start, self.lower, self.upper).free
 
     @property
     def throws_per_problem(self) -> int:

@@ -300,7 +300,7 @@ def _equal(
     held = {name: best[name] for name in same_names}
     held |= {name: prior.mean for name, prior in untold.items()}
     alone = ThrowsAlone.of_fits(fitted_alone(together, held), shared)
-    may_differ = (tasks.upper > tasks.lower)[0, common] & ~same[common]
+    may_differ = tasks.free[0, common] & ~same[common]
     jointly = marginal.information.slopes * may_differ
     variations = variations_of(alone, jointly, weights, covariates.values)
     names_of_law = [coefficient.name for coefficient in stack.model.law.coefficients()]
