@@ -89,8 +89,8 @@ def aim(
     Examples
     --------
     >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
-    >>> throw = curlfit.aim(law, curlfit.Stone(), (0.0, 28.35), omega0=1.0)
-    >>> round(throw.v0, 2), throw.heading > 0
+    >>> aimed = curlfit.aim(law, curlfit.Stone(), (0.0, 28.35), omega0=1.0)
+    >>> round(aimed.v0, 2), aimed.heading > 0
     (2.24, True)
     """
     find_law(type(law))
