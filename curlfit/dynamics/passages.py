@@ -98,26 +98,19 @@ def with_passages(
     # one integration for the rows, the targets, a little later, and rest
     path = motion(jnp.concatenate([times, t, t + _LATER, last]))
     n = len(times)
-    crossed = slice(n, n + count)
-    shortly_after = slice(n + count, -1)
+    crossed = _rows(path, slice(n, n + count))
+    shortly_after = _rows(path, slice(n + count, -1))
     # One more step, with its derivatives: those of the implicit function y(t) = line.
-    x = path.x[crossed]
-    y = path.y[crossed]
-    phi = path.phi[crossed]
-    vx = path.vx[crossed]
-    vy = path.vy[crossed]
-    speed = path.speed[crossed]
-    omega = path.omega[crossed]
-    late = (targets(path.y[-1]) - y) / jnp.maximum(vy, _SLOWEST)
+    late = (targets(path.y[-1]) - crossed.y) / jnp.maximum(crossed.vy, _SLOWEST)
     time = t + late
-    x = x + vx * late
-    phi = phi + omega * late
+    x = crossed.x + crossed.vx * late
+    phi = crossed.phi + crossed.omega * late
 
     def changed(now: Array, after: Array) -> Array:
         return now + late * jax.lax.stop_gradient(after - now) / _LATER
 
-    speed = changed(speed, path.speed[shortly_after])
-    omega = changed(omega, path.omega[shortly_after])
+    speed = changed(crossed.speed, shortly_after.speed)
+    omega = changed(crossed.omega, shortly_after.omega)
     # A line beyond the edge is taken to be crossed at the speed at the edge.
     slowness = (time[-1] - time[-2]) / (2 * _NEAR)
     beyond = jnp.maximum(lines - (path.y[-1] - _EDGE), 0.0)
@@ -129,8 +122,15 @@ def with_passages(
         omega=omega[:-2],
         rest=jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
     )
-    rows = jax.tree.map(lambda values: values[:n] if values.ndim else values, path)
-    return rows, passages
+    return _rows(path, slice(n)), passages
+
+
+def _rows(path: Trajectory, which: slice) -> Trajectory:
+    """The path at some of its times; the time of rest is that of the whole."""
+    rows: Trajectory = jax.tree.map(
+        lambda values: values[which] if values.ndim else values, path
+    )
+    return rows
 
 
 def _times_at(targets: Array, path: Trajectory) -> Array:
