@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -20,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from evenings import GRID, STONE, law_at, path_of, timed
+from evenings import COLUMNS, TRUTHS, Evening, as_throw
 from numpyro.infer import MCMC, NUTS, init_to_value
+from simulator import simulated
 from tables import Table
 
 import curlfit
@@ -30,42 +30,40 @@ from curlfit.inference.fit.coefficient_rows import coefficient_rows
 from curlfit.inference.together.effects import Covariates
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4
+TRUTH = TRUTHS["front-back"]
 
 
-def draws(number: int, seed: int) -> list[curlfit.Throw]:
-    """Stopwatch records of two sheets in turn."""
-    random, found = np.random.default_rng(seed), []
-    for draw in range(number):
-        sheet, side = draw % 2 + 1, 1 if draw // 2 % 2 else -1
-        path = path_of(
-            law_at(draw, sheet, random), random.uniform(2.19, 2.29), 1.3 * side
-        )
-        found.append(replace(timed(path, random), labels={"sheet": f"{sheet}"}))
-    return found
+def stopwatch_records(number: int, seed: int) -> list[curlfit.Throw]:
+    """The first draws of an evening with all its columns."""
+    evening = Evening(TRUTH, COLUMNS["three"], seed)
+    return [
+        as_throw(row, evening.labels(draw))[0]
+        for draw, row in enumerate(evening.rows[:number])
+    ]
 
 
 def tracks(number: int, seed: int) -> list[curlfit.Throw]:
-    """Tracks of 25 rows, with noise of 5 cm and 50 mrad."""
-    random, found = np.random.default_rng(seed), []
+    """Tracks of 24 rows in 23 s of an evening's draws, with noise of 5 cm and 50 mrad
+    (sigma given)."""
+    evening = Evening(TRUTH, (), seed)
+    noise = np.random.default_rng(seed)
+    times = np.arange(24.0)
+    throws = []
     for draw in range(number):
-        path = path_of(
-            law_at(draw, draw % 2 + 1, random), random.uniform(2.19, 2.29), 1.3
-        )
-        rows = slice(0, 240, 10)
-        x, y, phi = (getattr(path, name)[rows] for name in ("x", "y", "phi"))
-        x, y, phi = (one + 0.05 * random.standard_normal(len(x)) for one in (x, y, phi))
-        throw = curlfit.Throw.from_arrays(
-            GRID[rows], x, y, phi, labels={"sheet": f"{draw % 2 + 1}"}
-        )
-        found.append(throw.with_sigma({"x": 0.05, "y": 0.05, "phi": 0.05}))
-    return found
+        coefficients = evening.law_of_a_draw(evening.sheets[draw], evening.hours[draw])
+        v, w = noise.uniform(2.19, 2.29), 1.3
+        path = simulated(TRUTH.law, coefficients, v, w, times)
+        x, y, phi = path + 0.05 * noise.standard_normal(path.shape)
+        throw = curlfit.Throw.from_arrays(times, x, y, phi, labels=evening.labels(draw))
+        throws.append(throw.with_sigma({"x": 0.05, "y": 0.05, "phi": 0.05}))
+    return throws
 
 
 SETS = {
-    "8 stopwatch records": draws(8, 5),
+    "8 stopwatch records": stopwatch_records(8, 5),
     "6 tracks": tracks(6, 6),
 }
-FIXED = {"mu1_xi": 0.004, "mu1_eta": 0.009, "heading": 0.0}
+FIXED = {"mu1_xi": 0.004, "mu1_eta": 0.009}
 
 
 def flat(*shape: int) -> Any:
@@ -77,10 +75,7 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
     """Draws of the mean, of the effect of the sheet and of the spreads."""
     means = joint.means
     assert means is not None
-    alone = [
-        curlfit.fit(one, "front-back", stone=STONE, fix=FIXED, details=False)
-        for one in throws
-    ]
+    alone = [curlfit.fit(one, "front-back", fix=FIXED, details=False) for one in throws]
     told = np.array([coefficient_rows(one) for one in alone])
     labels = [(one.name, one.labels) for one in throws]
     covariate = Covariates.of(labels, ["sheet"], []).values[:, 0]
@@ -141,7 +136,6 @@ def main() -> None:
         joint = curlfit.fit_together(
             throws,
             "front-back",
-            stone=STONE,
             by="sheet",
             fix=FIXED,
             systematics={"all": 0.0},

@@ -18,8 +18,10 @@ from curlfit.stone import GRAVITY, Stone
 _START = LINES["hog"]
 _LENGTH = TEE - _START
 _USUAL = 2.2  # m/s, from which the speed is found
-_ROUNDS = 12  # from a usual throw
-_FEW_ROUNDS = 5  # from a throw on the same ice
+_MOST_MOTIONS = 12  # until draws are close to what is asked for
+_CLOSE = 1e-5  # 0.3 mm on the way to the tee, 0.1 ms between the hog lines
+_MUCH_LONGER = 1.2  # times as asked for, where a stone does not get there
+_SMALLEST_MOVE = 1e-3  # below it, rounding of times hides an exponent
 TIMES = np.linspace(0.0, 37.5, 301)
 """s, within which stones come to rest."""
 _DURATION = 25.0  # s, from which the spin is found
@@ -46,6 +48,31 @@ class _DrawToTee(NamedTuple):
     """m, at `TIMES`, shape (stones, times)"""
 
 
+class _NearlyPower:
+    """A quantity of each draw that is nearly a power of its speed: distance or time.
+    The exponent is a usual one at first, then that between the last two motions (the
+    secant of logarithms)."""
+
+    def __init__(self, usual_exponent: float) -> None:
+        self._usual = usual_exponent
+        self._exponent = np.array(usual_exponent)
+        self._last: tuple[Floats, Floats] | None = None
+
+    def nearer(self, speed: Floats, ratio: Floats) -> Floats:
+        """Speeds at which the quantity is more nearly as asked for, of which it is
+        `ratio` times as much at these."""
+        point = np.log(speed), np.log(ratio)
+        if self._last is not None:
+            moved, changed = np.subtract(point, self._last)
+            is_known = np.abs(moved) > _SMALLEST_MOVE
+            secant = changed / np.where(is_known, moved, 1.0)
+            of_usual = np.clip(secant / self._usual, 0.5, 2.0)
+            self._exponent = np.where(is_known, of_usual * self._usual, self._exponent)
+        self._last = point
+        nearer: Floats = speed * ratio ** (-1 / self._exponent)
+        return nearer
+
+
 class Draw(NamedTuple):
     """A stone that is released at the near hog line along the centre line."""
 
@@ -56,7 +83,7 @@ class Draw(NamedTuple):
         """Angles in rad by which stones of some spin turn on their way to rest at the
         tee, for vectors of the coefficients and conditions."""
         speed = np.full(len(spin), _USUAL)
-        return self._to_tee(coefficients, speed, spin, None, _ROUNDS).angle
+        return self._to_tee(coefficients, speed, spin, 0.0).angle
 
     def spin(self, coefficients: Floats, angle: float) -> Floats:
         """Spins in rad/s of stones that turn by an angle on their way to
@@ -80,10 +107,14 @@ class Draw(NamedTuple):
         InputError : most do not get there.
         """
         speed = HOG_TO_HOG / hog_to_hog + _USUAL / 4 + np.zeros(len(coefficients))
-        for _ in range(_FEW_ROUNDS):
+        time_at = _NearlyPower(-2.0)
+        for _ in range(_MOST_MOTIONS):
             _, y, _ = self._paths(coefficients, speed, spin)
             there = y[:, -1] > LINES["far-hog"]
-            speed *= np.where(there, np.sqrt(_hog_to_hog(y) / hog_to_hog), 1.1)
+            ratio = np.where(there, _hog_to_hog(y) / hog_to_hog, _MUCH_LONGER)
+            if not _is_off(ratio):
+                break
+            speed = time_at.nearer(speed, ratio)
         if there.mean() < 0.5:
             time = float(np.mean(hog_to_hog))
             raise InputError(f"hog to hog {time:g} s: it stops before the far hog line")
@@ -98,34 +129,29 @@ class Draw(NamedTuple):
         vector is searched from a usual one, the others from the first."""
         usual_speed = np.array([_USUAL])
         usual_spin = np.array([angle / _DURATION])
-        first = self._to_tee(coefficients[:1], usual_speed, usual_spin, angle, _ROUNDS)
+        first = self._to_tee(coefficients[:1], usual_speed, usual_spin, angle)
         count = len(coefficients)
-        return self._to_tee(
-            coefficients,
-            np.repeat(first.speed, count),
-            np.repeat(first.spin, count),
-            angle,
-            _FEW_ROUNDS,
-        )
+        speed = np.repeat(first.speed, count)
+        spin = np.repeat(first.spin, count)
+        return self._to_tee(coefficients, speed, spin, angle)
 
     def _to_tee(
-        self,
-        coefficients: Floats,
-        speed: Floats,
-        spin: Floats,
-        angle: float | None,
-        rounds: int,
+        self, coefficients: Floats, speed: Floats, spin: Floats, angle: float
     ) -> _DrawToTee:
-        """Motions to rest at the tee of stones that turn by an angle if one is given,
-        searched from a speed and a spin."""
-        # distance and angle are nearly v^2 and in proportion to the spin
-        for _ in range(rounds):
-            _, y, phi = self._paths(coefficients, speed, spin)
-            if angle is not None and abs(angle) > _STRAIGHT:
-                spin = spin * angle / phi[:, -1]
-            speed = speed * np.sqrt(_LENGTH / (y[:, -1] - _START))
-        x, y, phi = self._paths(coefficients, speed, spin)
-        return _DrawToTee(speed, spin, phi[:, -1], x, y)
+        """Motions to rest at the tee of stones that turn by an angle (by any if it is
+        0), searched from a speed and a spin."""
+        distance_at = _NearlyPower(2.0)
+        is_turning = abs(angle) > _STRAIGHT
+        for _ in range(_MOST_MOTIONS):
+            x, y, phi = self._paths(coefficients, speed, spin)
+            motion = _DrawToTee(speed, spin, phi[:, -1], x, y)
+            of_distance = (y[:, -1] - _START) / _LENGTH
+            of_angle = motion.angle / angle if is_turning else np.ones(len(speed))
+            if not (_is_off(of_distance) or _is_off(of_angle)):
+                break
+            speed = distance_at.nearer(speed, of_distance)
+            spin = spin / of_angle  # nearly in proportion, at any speed
+        return motion
 
     def _paths(self, coefficients: Floats, speed: Floats, spin: Any) -> Floats:
         """x, y and the angle of throws along the centre line."""
@@ -142,6 +168,11 @@ class Draw(NamedTuple):
         states, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
         paths: Floats = states[:, :3].swapaxes(0, 1)
         return paths
+
+
+def _is_off(ratio: Floats) -> bool:
+    """Whether a quantity of any draw is not as asked for."""
+    return bool((np.abs(ratio - 1) > _CLOSE).any())
 
 
 def _hog_to_hog(y: Floats) -> Floats:
