@@ -207,6 +207,32 @@ def test_curl_without_turns_is_told_at_the_usual_spin(tmp_path):
     joint.save(tmp_path / "joint.json")
 
 
+def test_draws_without_a_curl_tell_none_and_the_next_turns_as_the_last_known(tmp_path):
+    lines = (FOLDER / "D05.csv").read_text().splitlines()
+    lines[14] = lines[14].replace("left", "right")
+    without_curl = {3: "4.25 clockwise", 6: "4 clockwise", 16: ""}
+    for draw, turns in without_curl.items():
+        cells = lines[draw].split(",")
+        lines[draw] = ",".join([*cells[:4], "", turns, cells[-1]])
+    (tmp_path / "gaps.csv").write_text("\n".join(lines) + "\n")
+
+    joint = curlfit.fit_together(
+        curlfit.load_throws(tmp_path / "gaps.csv"), by="sheet", trend="start"
+    )
+
+    assert joint.converged
+    (curls,) = (one for one in joint.variation if one.expression == "a")
+    of_draws = [draw for draw, told in enumerate(curls.each, start=1) if told]
+    assert of_draws == [draw for draw in range(1, 17) if draw not in without_curl]
+    of_curl = difference(joint, "curl")
+    assert abs(of_curl.value + 0.35) < 2.5 * of_curl.stderr
+    # on sheet 2 draw 16 is the last, and draw 14 the last of which the sense is known
+    next_draw = curlfit.predict(joint, call=Call({"sheet": "2"}, hog_to_hog=13.4))
+    assert joint.throws[15].parameters["omega0"].value == 0.0
+    assert joint.throws[13].parameters["omega0"].value < 0.0
+    assert next_draw.start["omega0"].value < 0.0
+
+
 def test_nothing_is_told_of_what_was_not_found(monkeypatch):
     """No difference of sheets stands beside a fit that cannot be used."""
     from curlfit.inference.together import population

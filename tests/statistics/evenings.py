@@ -5,10 +5,11 @@
 Evenings of 12 to 24 draws on two sheets in turn are simulated by none of curlfit's code
 (`simulator.py`), under four laws of which curlfit knows nothing, and fitted with what
 it takes by itself. The sheets differ in friction, in curl, in both or in none; friction
-has a trend; throws vary. Three sets of columns: hog to hog and rest; with curl and
-turns; with hog to rest, too. Counted is how often intervals contain the difference of
-friction and of curl between draws to the tee that turn by the same angle, the trend of
-friction, and where the next draw comes to rest.
+has a trend; throws vary. Four sets of columns: hog to hog and rest; with curl and
+turns; with hog to rest, too; and these with gaps, as people leave them. Counted is how
+often intervals contain the difference of friction and of curl between draws to the tee
+that turn by the same angle, the trend of friction, and where the next draw comes to
+rest.
 
 Beside them stands a plain regression of what was measured on sheet, time and turns: of
 the friction that each draw has if its deceleration is constant, and of its curl. The
@@ -31,6 +32,7 @@ from tables import Table, put_merged, share
 import curlfit
 from curlfit.prediction.result import Call
 from curlfit.throws.events import Event
+from curlfit.throws.readers.record import USUAL_SPIN
 
 HOG, FAR_HOG, TEE = 10.059, 32.004, 38.405  # m from the hack
 HOG_TO_HOG, HOG_TO_TEE, GRAVITY = FAR_HOG - HOG, TEE - HOG, 9.81
@@ -79,7 +81,10 @@ COLUMNS = {
     "two": ("hog_to_hog", "rest"),
     "curl": ("hog_to_hog", "rest", "curl", "turns"),
     "three": ("hog_to_hog", "hog_to_rest", "rest", "curl", "turns"),
+    "gaps": ("hog_to_hog", "hog_to_rest?", "rest", "curl?", "turns?"),
 }
+"""What is measured of each draw; "?" stands for a value that is missing in some."""
+MISSING = 0.3
 
 
 class Draw(NamedTuple):
@@ -141,7 +146,7 @@ def draw_to_the_tee(law: str, coefficients: Mapping[str, float], turns: float) -
 def measured(
     draw: Draw, columns: tuple[str, ...], random: np.random.Generator
 ) -> dict[str, float]:
-    """The draw by stopwatch, tape and eye, rounded as people write."""
+    """The draw by stopwatch, tape and eye, rounded as people write; with gaps."""
     sizes = {
         "hog_to_hog": (SIGMA_TIME, 0.01),
         "hog_to_rest": (SIGMA_REST_TIME, 0.01),
@@ -150,17 +155,18 @@ def measured(
         "turns": (2 * np.pi * SIGMA_TURNS, 2 * np.pi / 4),
     }
     values = {}
-    for name in columns:
+    for column in columns:
+        if column.endswith("?") and random.random() < MISSING:
+            continue
+        name = column.rstrip("?")
         sigma, step = sizes[name]
         value = getattr(draw, name) + sigma * random.standard_normal()
         values[name] = round(value / step) * step
     return values
 
 
-def as_throw(
-    values: Mapping[str, float], labels: dict[str, str]
-) -> tuple[curlfit.Throw, str]:
-    """What curlfit makes of a row of a table, and the law that it takes."""
+def as_throw(values: Mapping[str, float], labels: dict[str, str]) -> curlfit.Throw:
+    """What curlfit makes of a row of a table."""
     events = {
         "hog_to_hog": ("hog_to_hog", "time", SIGMA_TIME, FAR_HOG, HOG),
         "hog_to_rest": ("hog_to_rest", "time", SIGMA_REST_TIME, None, FAR_HOG),
@@ -173,9 +179,10 @@ def as_throw(
         key, quantity, sigma, at, since = events[name]
         value = {"rest": TEE + value, "curl": -value}.get(name, value)
         made.append(Event(key, quantity, value, sigma, at, since))
-    throw = curlfit.Throw.from_events(made, labels=labels)
-    law = "power+deflection" if "curl" in values else "power"
-    return throw, law
+    spin = 0.0
+    if "turns" not in values and "curl" in values:
+        spin = np.sign(values["curl"]) * USUAL_SPIN
+    return curlfit.Throw.from_events(made, assumed={"omega0": spin}, labels=labels)
 
 
 def regression(
@@ -189,15 +196,19 @@ def regression(
     friction = 2 * length * slowed**2 / (GRAVITY * time**2)
     answers = {}
     columns = {"friction": (friction / friction.mean(), terms)}
-    if "curl" in rows[0]:
-        curl = np.abs([row["curl"] for row in rows])
-        turns = np.abs([row["turns"] for row in rows])
-        columns["curl"] = (curl, [*terms, turns - turns.mean()])
+    curl = np.abs([row.get("curl", np.nan) for row in rows])
+    turns = np.abs([row.get("turns", np.nan) for row in rows])
+    is_known = np.isfinite(curl + turns)
+    if is_known.any():
+        known_terms = [term[is_known] for term in (*terms, turns)]
+        columns["curl"] = (curl[is_known], known_terms)
     for name, (values, design) in columns.items():
         matrix = np.column_stack(design)
         inverse = np.linalg.inv(matrix.T @ matrix)
         solution = inverse @ matrix.T @ values
-        freedom = len(rows) - matrix.shape[1]
+        freedom = len(values) - matrix.shape[1]
+        if freedom < 1:
+            continue
         variance = ((values - matrix @ solution) ** 2).sum() / freedom
         errors = np.sqrt(variance * np.diagonal(inverse))
         answers[f"{name} of the sheets"] = (solution[1], errors[1], freedom)
@@ -211,15 +222,17 @@ class Evening:
     Attributes
     ----------
     rows : the measured values of each draw, by column.
+    law : by which curlfit fits a table with these columns.
     sheets, hours : of each draw, 1 or 2 and h since the first.
     apart : how far the sheets differ in friction and in curl, over their means.
     rising : the trend of friction, over its mean, per hour.
-    sense : the sense of turning of the last draw on sheet 2.
+    sense : in which the last draw on sheet 2 turned of which that is written.
     """
 
     def __init__(self, truth: Truth, columns: tuple[str, ...], seed: int) -> None:
         random = np.random.default_rng([seed, len(columns), *truth.law.encode()])
         self.truth = truth
+        self.law = "power+deflection" if {"curl", "curl?"} & {*columns} else "power"
         self.random = random
         draws = int(random.integers(12, 25))
         kind = ((0, 0), (1, 0), (0, 1), (1, 1))[seed % 4]
@@ -238,9 +251,10 @@ class Evening:
             w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
             v = usual * np.sqrt(self.means(sheet, hour)[0] / self.ice[0])
             draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
-            if sheet == 2:
+            row = measured(draw, columns, random)
+            if sheet == 2 and row.keys() & {"curl", "turns"}:
                 self.sense = np.sign(w)
-            self.rows.append(measured(draw, columns, random))
+            self.rows.append(row)
 
     def means(self, sheet: int, hour: float) -> np.ndarray:
         """Friction and curl of a sheet at a time, over those of the law."""
@@ -265,12 +279,9 @@ def answers_of(
     evening = Evening(truth, columns, seed)
     rows = evening.rows
     draws = len(rows)
-    throws = []
-    for place, row in enumerate(rows):
-        throw, law = as_throw(row, evening.labels(place))
-        throws.append(throw)
+    throws = [as_throw(row, evening.labels(draw)) for draw, row in enumerate(rows)]
     joint = curlfit.fit_together(
-        throws, law, by="sheet", trend="hour", systematics={"all": 0.0}
+        throws, evening.law, by="sheet", trend="hour", systematics={"all": 0.0}
     )
     if not joint.converged:
         return {}, {}

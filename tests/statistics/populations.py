@@ -37,7 +37,7 @@ def stopwatch_records(number: int, seed: int) -> list[curlfit.Throw]:
     """The first draws of an evening with all its columns."""
     evening = Evening(TRUTH, COLUMNS["three"], seed)
     return [
-        as_throw(row, evening.labels(draw))[0]
+        as_throw(row, evening.labels(draw))
         for draw, row in enumerate(evening.rows[:number])
     ]
 

@@ -95,16 +95,19 @@ def errors_by_rows(
 
 
 def fitted_alone(
-    together: Together, held: Mapping[str, float]
+    together: Together, held_by_throw: Sequence[Mapping[str, float]]
 ) -> list[FitResult | None]:
-    """Each throw fitted by itself, with some parameters `held`; None where that does
-    not converge. The priors of what throws have in common count once, for all of them,
-    and are not among these."""
+    """Each throw fitted by itself, with some of its parameters held; None where that
+    does not converge. The priors of what throws have in common count once, for all of
+    them, and are not among these."""
     joint_stack = together.stack
     names = joint_stack.requests[0].parameters.names_where(together.common)
     stack = ThrowStack(
         joint_stack.model,
-        [_by_itself(request, names, held) for request in joint_stack.requests],
+        [
+            _by_itself(request, names, held)
+            for request, held in zip(joint_stack.requests, held_by_throw, strict=True)
+        ],
         shape=joint_stack.problems.observed.shape[1:],
         batch=side_by_side(len(joint_stack.requests)),
     )

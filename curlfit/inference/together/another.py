@@ -66,9 +66,10 @@ def another(
 
 
 def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
-    """The throw that has most of the labels, with the extent of the data and the
-    motion of all throws."""
-    near = throws[_last([throw.data.labels for throw in throws], labels)]
+    """The throw that has most of the labels, of those that are known to turn if there
+    are any, with the extent of the data and the motion of all throws."""
+    turning = [throw for throw in throws if throw.parameters["omega0"].value] or throws
+    near = turning[_last([throw.data.labels for throw in turning], labels)]
     data_by_throw = [throw.data for throw in throws]
     files = dict.fromkeys(file_and_number(data.file)[0] for data in data_by_throw)
     data_of_all = replace(

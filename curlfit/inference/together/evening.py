@@ -81,6 +81,15 @@ def untold(
     }
 
 
+def untold_by(throw: Throw, law: type[Law]) -> set[str]:
+    """Coefficients of what turns a draw aside, where neither its path nor its curl was
+    measured: what others say of them stays."""
+    curl_is_known = any(event.quantity == "x" for event in throw.events)
+    if throw.has_path or curl_is_known:
+        return set()
+    return {item.name for item in law.coefficients()} - _slowing(law)
+
+
 def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
     """A throw that was fitted with what is untold held at its mean, with the
     uncertainty of that, and what follows from it for the other parameters."""

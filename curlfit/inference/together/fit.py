@@ -34,7 +34,7 @@ from curlfit.inference.together.advice import with_throws
 from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.together.draw import Draw
 from curlfit.inference.together.effects import Covariates
-from curlfit.inference.together.evening import same_in_all, with_untold
+from curlfit.inference.together.evening import same_in_all, untold_by, with_untold
 from curlfit.inference.together.population import Together, vary
 from curlfit.inference.together.posterior import drawn_for_others, sampled
 from curlfit.inference.together.request import VARYING, JointRequest
@@ -299,7 +299,11 @@ def _equal(
     best = parameters.values_of(solution.values[0])
     held = {name: best[name] for name in same_names}
     held |= {name: prior.mean for name, prior in untold.items()}
-    alone = ThrowsAlone.of_fits(fitted_alone(together, held), shared)
+    held_by_throw = []
+    for request in stack.requests:
+        untold_names = untold_by(request.throw, stack.model.law)
+        held_by_throw.append(held | {name: best[name] for name in untold_names})
+    alone = ThrowsAlone.of_fits(fitted_alone(together, held_by_throw), shared)
     may_differ = tasks.free[0, common] & ~same[common]
     jointly = marginal.information.slopes * may_differ
     variations = variations_of(alone, jointly, weights, covariates.values)
