@@ -612,3 +612,28 @@ def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
         "more of rest, hog_to_rest, or another time; columns hog-house, Curl (cm) L+ "
         "are not understood; columns ignored: hog-house, Curl (cm) L+, weight"
     )
+
+
+def test_turns_without_a_sense_are_left_out_where_other_rows_have_one(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text(
+        "hog to hog,rest,curl,turns\n"
+        "13.1,0.3 m past,1.1 m right,3\n"
+        "13.3,0.2 m short,,2.5\n"
+        "13.2,0.4 m past,,2.75 clockwise\n"
+        "13.0,0.9 m past,1.0 m left,\n"
+    )
+
+    throws = curlfit.load_throws(file)
+
+    names = [[event.name for event in throw.events] for throw in throws]
+    assert [("turns" in of_throw) for of_throw in names] == [True, False, True, False]
+    (note,) = (note for note in throws[0].notes if note.code == "turns-without-a-sense")
+    assert str(note).endswith("turns and spin of line 3")
+
+
+def test_a_table_of_turns_that_never_says_a_sense_is_refused(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text("hog to hog,rest,turns\n13.1,0.3,3\n13.3,-0.2,2.5\n")
+    with pytest.raises(curlfit.DataError, match="line 2, column turns: in which sense"):
+        curlfit.load_throws(file)

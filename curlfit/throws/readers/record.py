@@ -292,6 +292,16 @@ class Record:
                 return sense
         return 0
 
+    def without_sense(self) -> set[str]:
+        """Which of turns and spin have a size but no sense that anything tells."""
+        return {
+            key
+            for key in ("turns", "spin")
+            if key in self.measured
+            and self._value(key)
+            and not self._sense(*_SENSE_BY[key])
+        }
+
     def spin(self) -> tuple[float, list[Finding]]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and
         notes on it."""

@@ -66,7 +66,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     of_file = ParsedFile.begin(file, "timings")
     keep = {*reading.keep, *of_file.settings.pop("keep", ())}
     of_file.settings.pop("columns", None)
-    rows = _throws_in(file, reading)
+    rows, without_sense = _with_senses(file, _throws_in(file, reading))
     of_file.settings.setdefault("law", _usual_law(rows))
     labels = [f"line {row.line}" for row in rows]
     if len(rows) == 1:
@@ -82,6 +82,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         if without_time:
             lines = [rows[index].line for index in without_time]
             parsed.notes.append(Finding.note("rows-without-a-time", lines=lines))
+        if without_sense:
+            lines = without_sense
+            parsed.notes.append(Finding.note("turns-without-a-sense", lines=lines))
         if index in finding_at:
             parsed.notes.append(finding_at[index])
         return parsed
@@ -94,6 +97,27 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         odd_rows=odd_rows,
         note=_one_of_rows,
     )
+
+
+def _with_senses(file: TextFile, rows: list[Row]) -> tuple[list[Row], list[int]]:
+    """The rows of a table without turns and spins whose sense is not known, and the
+    lines that had one. Where no row tells a sense, the table is refused as it is read.
+    """
+    without_sense: dict[int, set[str]] = {}
+    for index, row in enumerate(rows):
+        with suppress(DataError):  # the row itself is refused where it is read
+            keys = Record(file, row, limited=False).without_sense()
+            if keys:
+                without_sense[index] = keys
+    turning = [row for row in rows if {"turns", "spin"} & row.entries.keys()]
+    if len(without_sense) == len(turning):
+        return rows, []
+    known_rows = []
+    for index, row in enumerate(rows):
+        unknown = without_sense.get(index, set())
+        entries = {key: row.entries[key] for key in row.entries if key not in unknown}
+        known_rows.append(row._replace(entries=entries))
+    return known_rows, [rows[index].line for index in without_sense]
 
 
 def _has_time(row: Row) -> bool:
