@@ -71,6 +71,18 @@ def test_draws_turn_by_the_angle_and_rest_at_the_tee(angle: float) -> None:
         assert_allclose(-np.sign(angle) * x, curl[row], rtol=1e-4)
 
 
+def test_the_usual_angle_is_that_of_stones_that_are_known_to_turn() -> None:
+    draw = draw_under("front-back")
+    coefficients = np.tile([0.004, 0.05, 0.009, 0.009], (5, 1))
+    spins = np.array([0.0, 1.1, -1.2, 0.0, 0.0])
+
+    angle = draw.usual_angle(coefficients, spins)
+
+    of_turning = draw.spin(coefficients[:1], angle)[0]
+    assert 1.1 < of_turning < 1.2
+    assert draw.usual_angle(coefficients, np.zeros(5)) == 0.0
+
+
 def test_a_time_that_no_stone_takes() -> None:
     with pytest.raises(curlfit.InputError, match="it stops before the far hog line"):
         draw_under("coulomb").speeds(FRICTION[:, None], 0.0, 40.0)

@@ -79,11 +79,16 @@ class Draw(NamedTuple):
     model: Model
     stone: Stone
 
-    def angle(self, coefficients: Floats, spin: Floats) -> Floats:
-        """Angles in rad by which stones of some spin turn on their way to rest at the
-        tee, for vectors of the coefficients and conditions."""
-        speed = np.full(len(spin), _USUAL)
-        return self._to_tee(coefficients, speed, spin, 0.0).angle
+    def usual_angle(self, coefficients: Floats, spin: Floats) -> float:
+        """The angle in rad by which stones of some spin turn on their way to rest at
+        the tee, for vectors of the coefficients and conditions: the median of those
+        that are known to turn."""
+        is_turning = spin != 0.0
+        if not is_turning.any():
+            return 0.0
+        speed = np.full(is_turning.sum(), _USUAL)
+        motion = self._to_tee(coefficients[is_turning], speed, spin[is_turning], 0.0)
+        return float(np.median(np.abs(motion.angle)))
 
     def spin(self, coefficients: Floats, angle: float) -> Floats:
         """Spins in rad/s of stones that turn by an angle on their way to

@@ -243,7 +243,8 @@ class Means:
     directions : changes of the parameters in these, shape (parameters, directions).
     spreads : standard deviations between throws along them. dof : degrees of
         freedom of these.
-    angle : rad by which a draw to the tee turns, the median of the throws.
+    angle : rad by which a draw to the tee turns, the median of the throws that are
+        known to turn.
     drawn : from the posterior: the estimate, then the spreads, shape (draws, numbers);
         none of tracks, and of many draws, for which Student's t is right.
     """

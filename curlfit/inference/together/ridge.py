@@ -128,7 +128,7 @@ def _drawn(points: Sequence[Point], draw: Draw, common: Booleans) -> Floats:
     """Quantities of a draw that turns as throws usually do, a point of each throw."""
     values = np.array([point.values for point in points])
     spins = values[:, START_INDEX["omega0"]]
-    angle = float(np.median(np.abs(draw.angle(values[:, common], spins))))
+    angle = draw.usual_angle(values[:, common], spins)
     return draw.quantities(values[:1, common], angle)[0]
 
 

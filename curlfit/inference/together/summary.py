@@ -89,7 +89,7 @@ def about_mean(
     if ridge is not None:
         is_common = np.arange(len(names) + len(START)) < len(names)
         least = errors_of_draw(ridge, draw, is_common)
-    angle = float(np.median(np.abs(draw.angle(*throws))))
+    angle = draw.usual_angle(*throws)
     means = population.means(names, covariates, angle, of_others)
     units = {name: estimate.unit for name, estimate in equal.coefficients.items()}
     quantities = _Quantities.of(
