@@ -12,6 +12,7 @@ from curlfit.inference.model.parameters import START_NAMES
 from curlfit.inference.model.problem import LEVEL_AND_STILL
 from curlfit.inference.model.system import motions
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import BATCH
 from curlfit.sheet import HOG_TO_HOG, LINES, TEE
 from curlfit.stone import GRAVITY, Stone
 
@@ -130,15 +131,18 @@ class Draw(NamedTuple):
         return _hog_to_hog(self._paths(coefficients, speed, spin)[1])
 
     def _turning(self, coefficients: Floats, angle: float) -> _DrawToTee:
-        """Motions to rest at the tee of stones that turn by an angle; that of the first
-        vector is searched from a usual one, the others from the first."""
-        usual_speed = np.array([_USUAL])
-        usual_spin = np.array([angle / _DURATION])
-        first = self._to_tee(coefficients[:1], usual_speed, usual_spin, angle)
+        """Motions to rest at the tee of stones that turn by an angle, searched from
+        usual ones; those of many vectors from that of the first."""
+        speed = np.array([_USUAL])
+        spin = np.array([angle / _DURATION])
         count = len(coefficients)
-        speed = np.repeat(first.speed, count)
-        spin = np.repeat(first.spin, count)
-        return self._to_tee(coefficients, speed, spin, angle)
+        if count > BATCH:
+            first = self._to_tee(coefficients[:1], speed, spin, angle)
+            speed = first.speed
+            spin = first.spin
+        return self._to_tee(
+            coefficients, np.repeat(speed, count), np.repeat(spin, count), angle
+        )
 
     def _to_tee(
         self, coefficients: Floats, speed: Floats, spin: Floats, angle: float
