@@ -188,7 +188,8 @@ def as_throw(values: Mapping[str, float], labels: dict[str, str]) -> curlfit.Thr
 def regression(
     rows: list[dict[str, float]], sheets: np.ndarray, hours: np.ndarray
 ) -> dict[str, tuple[float, float, float]]:
-    """Estimate, error and degrees of freedom by ordinary least squares, by question."""
+    """Estimate, error and degrees of freedom by ordinary least squares, by question;
+    without those that too few values answer."""
     terms = [np.ones(len(rows)), sheets - sheets.mean(), hours - hours.mean()]
     length = HOG_TO_TEE + np.array([row["rest"] for row in rows])
     time = np.array([row["hog_to_hog"] for row in rows])
@@ -204,11 +205,11 @@ def regression(
         columns["curl"] = (curl[is_known], known_terms)
     for name, (values, design) in columns.items():
         matrix = np.column_stack(design)
+        freedom = len(values) - matrix.shape[1]
+        if freedom < 1 or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+            continue
         inverse = np.linalg.inv(matrix.T @ matrix)
         solution = inverse @ matrix.T @ values
-        freedom = len(values) - matrix.shape[1]
-        if freedom < 1:
-            continue
         variance = ((values - matrix @ solution) ** 2).sum() / freedom
         errors = np.sqrt(variance * np.diagonal(inverse))
         answers[f"{name} of the sheets"] = (solution[1], errors[1], freedom)
