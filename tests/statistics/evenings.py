@@ -371,8 +371,15 @@ def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]
             )
             counts.append(share(inside, len(mine), size))
         scatter = np.sqrt(np.mean([(one.value - one.truth) ** 2 for one in mine]))
-        widths = [widths.get(question, np.nan) for _, widths in usable]
-        ratio = np.median([one.width for one in mine]) / np.median(widths)
+        both = [
+            (answers[question].width, widths[question])
+            for answers, widths in usable
+            if question in answers and question in widths
+        ]
+        ratio = ""
+        if both:
+            width, of_regression = np.median(both, axis=0)
+            ratio = f"{width / of_regression:.2f}"
         yield (
             truth,
             columns,
@@ -380,7 +387,7 @@ def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]
             f"{len(mine)}",
             *counts,
             f"{scatter:.2g}",
-            f"{ratio:.2f}" if np.isfinite(ratio) else "",
+            ratio,
         )
 
 
