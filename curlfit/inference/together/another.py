@@ -66,10 +66,10 @@ def another(
 
 
 def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
-    """The throw that has most of the labels, of those that are known to turn if there
-    are any, with the extent of the data and the motion of all throws."""
-    turning = [throw for throw in throws if throw.parameters["omega0"].value] or throws
-    near = turning[_last([throw.data.labels for throw in turning], labels)]
+    """The throw that has most of the labels, with the extent of the data and the
+    motion of all throws."""
+    spins = [throw.parameters["omega0"].value for throw in throws]
+    near = throws[_last([throw.data.labels for throw in throws], spins, labels)]
     data_by_throw = [throw.data for throw in throws]
     files = dict.fromkeys(file_and_number(data.file)[0] for data in data_by_throw)
     data_of_all = replace(
@@ -87,11 +87,14 @@ def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitR
 
 
 def _last(
-    labels_by_throw: Sequence[Mapping[str, str]], labels: Mapping[str, str]
+    labels_by_throw: Sequence[Mapping[str, str]],
+    spins: Sequence[float],
+    labels: Mapping[str, str],
 ) -> int:
-    """The row of the throw that has most of the labels, the last of these."""
+    """The row of the throw that has most of the labels, the last of these, among those
+    that are known to turn if there are any."""
     alike = [len(of_throw.items() & labels.items()) for of_throw in labels_by_throw]
-    return max(range(len(alike)), key=lambda row: (alike[row], row))
+    return max(range(len(alike)), key=lambda row: (spins[row] != 0.0, alike[row], row))
 
 
 def _begun_last(
@@ -103,7 +106,8 @@ def _begun_last(
             "the fit of the table does not say how its throws began: "
             "repeat the batch, without --free, and fit its table"
         )
-    begun = table.starts[_last([start.labels for start in table.starts], labels)]
+    spins = [start.start["omega0"] for start in table.starts]
+    begun = table.starts[_last([start.labels for start in table.starts], spins, labels)]
     start = {
         component.name: Estimate.of(
             component, begun.start[component.name], Verdict.DETERMINED

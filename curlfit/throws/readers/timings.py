@@ -83,8 +83,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             lines = [rows[index].line for index in without_time]
             parsed.notes.append(Finding.note("rows-without-a-time", lines=lines))
         if without_sense:
-            lines = without_sense
-            parsed.notes.append(Finding.note("turns-without-a-sense", lines=lines))
+            parsed.notes.append(
+                Finding.note("turns-without-a-sense", lines=without_sense)
+            )
         if index in finding_at:
             parsed.notes.append(finding_at[index])
         return parsed
