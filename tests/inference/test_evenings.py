@@ -94,6 +94,19 @@ def test_what_one_draw_does_not_tell_no_comparison_of_draws_tells():
     assert joint.coefficients["c"].stderr == pytest.approx(expected, rel=0.02)
 
 
+def test_what_a_throw_says_alone_is_its_fit_with_what_all_have_in_common():
+    """How curl depends on spin is the same for all draws of an evening, and no draw
+    tells it."""
+    joint = fitted("D05", by="sheet")
+    common = {name: joint.coefficients[name].value for name in ("k", "m")}
+    throw = curlfit.load_throws(FOLDER / "D05.csv")[2]
+    alone = curlfit.fit(throw, joint.law, fix=common, systematics={"all": 0.0})
+    for variation in joint.variation:
+        estimate = alone.parameters[variation.expression]
+        expected = (estimate.value, estimate.stderr)
+        assert variation.each[2] == pytest.approx(expected, rel=1e-5)
+
+
 def test_an_exponent_with_a_prior_of_its_own_is_told_by_the_draws():
     joint = fitted("slip", priors={"k": "-0.25+-0.25"})
     assert joint.coefficients["k"].stderr < 0.22

@@ -47,7 +47,7 @@ from curlfit.inference.together.variation import (
     variations_of,
     weights_of_known,
 )
-from curlfit.numerics.arrays import Booleans
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import at, side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw
@@ -250,6 +250,10 @@ class _Equal(NamedTuple):
     varying: Varying
     ridge: JointRidge | None
     """None where chi squared is a quadratic"""
+    known: dict[str, Floats]
+    """weights of the shared parameters in what the throws determine, by expression"""
+    jointly: Floats
+    """rows of what each throw tells of the shared parameters that may differ"""
 
 
 def _equal(
@@ -259,7 +263,7 @@ def _equal(
 ) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
-    stack, tasks, solution, common, covariates = together
+    stack, tasks, solution, common, _ = together
     parameters = stack.requests[0].parameters
     shared = tuple(parameters.names_where(common))
     same_names = same_in_all(
@@ -296,17 +300,10 @@ def _equal(
         if not of_sum[same[common]].any()
     }
 
-    best = parameters.values_of(solution.values[0])
-    held = {name: best[name] for name in same_names}
-    held |= {name: prior.mean for name, prior in untold.items()}
-    held_by_throw = []
-    for request in stack.requests:
-        untold_names = untold_by(request.throw, stack.model.law)
-        held_by_throw.append(held | {name: best[name] for name in untold_names})
-    alone = ThrowsAlone.of_fits(fitted_alone(together, held_by_throw), shared)
     may_differ = tasks.free[0, common] & ~same[common]
     jointly = marginal.information.slopes * may_differ
-    variations = variations_of(alone, jointly, weights, covariates.values)
+    best = dict(zip(shared, solution.values[0, common].tolist(), strict=True))
+    variations = _variations(together, best, untold, weights, jointly)
     names_of_law = [coefficient.name for coefficient in stack.model.law.coefficients()]
     of_law = np.isin(shared, names_of_law)
     may_vary = {
@@ -344,7 +341,29 @@ def _equal(
         variation=tuple(variations.values()),
         systematics=_about(first.systematics, expressions),
     )
-    return _Equal(with_throws(result, throws, solution), varying, ridge)
+    result = with_throws(result, throws, solution)
+    return _Equal(result, varying, ridge, weights, jointly)
+
+
+def _variations(
+    together: Together,
+    shared: Mapping[str, float],
+    untold: Mapping[str, Normal],
+    known: Mapping[str, Floats],
+    jointly: Floats,
+) -> dict[str, Variation]:
+    """How what is `known` varies between throws that are fitted by themselves, where
+    what is the same in all, and what a throw does not tell, has its `shared` value."""
+    law = together.stack.model.law
+    throws = [request.throw for request in together.stack.requests]
+    usual = {name: prior.mean for name, prior in untold.items()}
+    same_names = {*same_in_all(throws, law)}
+    held_by_throw = []
+    for throw in throws:
+        names = same_names | untold_by(throw, law)
+        held_by_throw.append({name: shared[name] for name in names} | usual)
+    alone = ThrowsAlone.of_fits(fitted_alone(together, held_by_throw), [*shared])
+    return variations_of(alone, jointly, known, together.covariates.values)
 
 
 def _throws_and_ridge(
@@ -424,7 +443,7 @@ def _varying(
     """The result where what the throws determine varies about its mean, which is as
     free along the ridge as equal coefficients are."""
     weights, guess = equal.varying
-    ridge = equal.ridge
+    stack = together.stack
     try:
         population, solution, others = vary(together, weights, guess, untold)
     except np.linalg.LinAlgError:
@@ -432,11 +451,17 @@ def _varying(
             "how these throws vary cannot be estimated: their coefficients become "
             f"unbounded; fix some of them, or fit with {Option('share', 'all')}"
         ) from None
+    equal_throws = equal.result
+    is_evening = not any(request.throw.has_path for request in stack.requests)
+    if is_evening:
+        mean = dict(zip(equal.result.share, population.mean.tolist(), strict=True))
+        variations = _variations(together, mean, untold, equal.known, equal.jointly)
+        equal_throws = replace(equal_throws, variation=tuple(variations.values()))
     draws = of_others = None
     if np.all(solution.success):
         draws = sampled(population.fit, guess, seed)
         # tracks know their coefficients better than these vary: Student's t is exact
-        if not any(request.throw.has_path for request in together.stack.requests):
+        if is_evening:
             of_others = drawn_for_others(population.fit, guess, draws)
     throws = [
         replace(
@@ -447,19 +472,19 @@ def _varying(
         )
         for throw, of_equal in zip(
             _summarized(together, solution, others=others),
-            equal.result.throws,
+            equal_throws.throws,
             strict=True,
         )
     ]
     spins = np.array([throw.parameters["omega0"].value for throw in throws])
     result = about_mean(
-        equal.result,
+        equal_throws,
         population,
         together.covariates,
-        Draw(together.stack.model, together.stack.requests[0].stone),
+        Draw(stack.model, stack.requests[0].stone),
         (solution.values[:, together.common], spins),
         draws,
-        ridge,
+        equal.ridge,
         of_others=of_others,
     )
     coefficients = {

@@ -59,6 +59,13 @@ class Population(NamedTuple):
     """the fit without priors but of what is cut"""
 
     @property
+    def mean(self) -> Floats:
+        """Values of the common parameters, about which throws vary."""
+        best = self.fit.estimate[: len(self.typical)]
+        values = self.reference + self.typical * best
+        return _inside(values, self.typical, *self.bounds)
+
+    @property
     def spreads(self) -> Floats:
         """Standard deviations between throws."""
         spreads: Floats = np.sqrt(self.fit.variances)
@@ -103,10 +110,7 @@ class Population(NamedTuple):
         """What all throws say of the common parameters of their mean."""
         size = len(self.typical)
         best = self.fit.estimate[:size]
-        values = _inside(
-            self.reference + self.typical * best, self.typical, *self.bounds
-        )
-        bounded = Bounded(values, *self.bounds)
+        bounded = Bounded(self.mean, *self.bounds)
 
         def information(fit: MixedFit) -> Information:
             mean, matrix = fit.unbounded
