@@ -19,13 +19,14 @@ constant friction, such comparisons made an exponent of -0.25 +- 0.25 one of -0.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from curlfit.friction import Law
 from curlfit.friction.sums import Sum
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.priors import Normal
@@ -100,14 +101,12 @@ def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
     which = np.array([covariance.names.index(name) for name in names])
     variances = np.array([untold[name].sd ** 2 for name in names])
     added = added_by_cut(covariance.matrix, which, variances)
-    parameters = dict(fit.parameters)
+    parameters = by_prior(fit.parameters, untold)
     for name, variance in zip(covariance.names, np.diagonal(added), strict=True):
         estimate = parameters[name]
         if estimate.stderr is not None:
             stderr = math.sqrt(estimate.stderr**2 + variance)
             parameters[name] = replace(estimate, stderr=stderr)
-    for name in names:
-        parameters[name] = replace(parameters[name], verdict=Verdict.PRIOR)
     information = fit.information
     squares = information.matrix.copy()
     rows = [information.names.index(name) for name in names]
@@ -119,6 +118,16 @@ def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
         covariance=replace(covariance, matrix=covariance.matrix + added),
         information=replace(information, matrix=squares),
     )
+
+
+def by_prior(
+    estimates: Mapping[str, Estimate], untold: Collection[str]
+) -> dict[str, Estimate]:
+    """Estimates, of which those of what is untold are what is usual on other ice."""
+    return {
+        name: replace(estimate, verdict=Verdict.PRIOR) if name in untold else estimate
+        for name, estimate in estimates.items()
+    }
 
 
 def _named(choice: Fitting) -> set[str]:

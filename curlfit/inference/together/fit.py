@@ -34,7 +34,12 @@ from curlfit.inference.together.advice import with_throws
 from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.together.draw import Draw
 from curlfit.inference.together.effects import Covariates
-from curlfit.inference.together.evening import same_in_all, untold_by, with_untold
+from curlfit.inference.together.evening import (
+    by_prior,
+    same_in_all,
+    untold_by,
+    with_untold,
+)
 from curlfit.inference.together.population import Together, vary
 from curlfit.inference.together.posterior import drawn_for_others, sampled
 from curlfit.inference.together.request import VARYING, JointRequest
@@ -487,14 +492,10 @@ def _varying(
         equal.ridge,
         of_others=of_others,
     )
-    coefficients = {
-        name: replace(estimate, verdict=Verdict.PRIOR) if name in untold else estimate
-        for name, estimate in result.coefficients.items()
-    }
     moved = result.systematics.shifts.keys() - untold.keys()
     result = replace(
         result,
-        coefficients=coefficients,
+        coefficients=by_prior(result.coefficients, untold),
         systematics=_about(result.systematics, moved),
     )
     return with_throws(result, throws, solution)
