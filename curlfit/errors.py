@@ -87,8 +87,8 @@ def require_kind(
 ) -> None:
     """Raise `InputError` for an argument of another type."""
     if not isinstance(value, kind):
-        found = f"{type(value).__name__} {quoted(str(value))}"
-        raise InputError(f"{name}: {found} found, expected {expected}")
+        argument = f"{type(value).__name__} {quoted(str(value))}"
+        raise InputError(f"{name}: {argument} found, expected {expected}")
 
 
 class DataError(InputError):

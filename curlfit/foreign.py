@@ -88,8 +88,8 @@ def say(text: str, *, error: bool = False) -> None:
 def file_and_number(name: str) -> tuple[str, str]:
     """The file of a throw, and its number in it, which is empty if the file
     has no other."""
-    found = re.fullmatch(r"(.*) (?:row|throw) (\d+)", name, re.S)
-    return (found[1], found[2]) if found is not None else (name, "")
+    match = re.fullmatch(r"(.*) (?:row|throw) (\d+)", name, re.S)
+    return (match[1], match[2]) if match is not None else (name, "")
 
 
 def safe_name(text: str) -> str:

@@ -98,8 +98,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first, so that none of them runs on alone at the end."""
-    place = {name: -1 - LONG[::-1].index(name) for name in LONG}
-    items.sort(key=lambda item: place.get(item.path.stem, 0))
+    rank = {name: -1 - LONG[::-1].index(name) for name in LONG}
+    items.sort(key=lambda item: rank.get(item.path.stem, 0))
 
 
 class Ran(NamedTuple):
@@ -170,7 +170,8 @@ def command(*words: object, cwd: Path) -> Ran:
     from curlfit.errors import warn_once
 
     warn_once.cache_clear()
-    before, status = sys.argv, 0
+    before = sys.argv
+    status = 0
     with (
         chdir(cwd),
         redirect_stdout(StringIO()) as out,
@@ -206,9 +207,11 @@ def invoke(words: Sequence[object]) -> Invoked:
 
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
         try:
-            status, error = cli.run([*map(str, words)]), None
+            status = cli.run([*map(str, words)])
+            error = None
         except curlfit.CurlfitError as refusal:
-            status, error = refusal.exit_status, refusal
+            status = refusal.exit_status
+            error = refusal
     return Invoked(out.getvalue(), err.getvalue(), status, error)
 
 

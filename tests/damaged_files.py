@@ -154,10 +154,10 @@ def damaged_text(chance: random.Random, text: str) -> str:
             lines[chance.randrange(len(lines) + 1) : 0] = [line] * chance.randrange(3)
             text = "\n".join(lines)
         elif kind == 5:
-            one, other = chance.sample(
+            mark, replacement = chance.sample(
                 [",", ";", "\t", " ", ".", "\n", "0", "1", "-"], 2
             )
-            text = text.replace(one, other, chance.choice([1, 5, -1]))
+            text = text.replace(mark, replacement, chance.choice([1, 5, -1]))
         elif kind == 8:  # another digit
             text = text[:a] + chance.choice("0123456789") + text[a + 1 :]
         elif kind == 6:
@@ -235,9 +235,9 @@ def grid(chance: random.Random, file: Path) -> None:
 def _stray_cell(chance: random.Random) -> str:
     if chance.random() < 0.5:
         return chance.choice(_VALUES_OF_CELLS)
-    place = chance.choice(_PLACES)
+    reference = chance.choice(_PLACES)
     row = chance.choice(["", ' r="5"', ' r="1048576"', ' r="-1"', ' r="x"'])
-    return f'<row{row}><c r="{place}"><v>1</v></c></row>'
+    return f'<row{row}><c r="{reference}"><v>1</v></c></row>'
 
 
 def _repeated_cell(chance: random.Random, text: str) -> str:
@@ -379,7 +379,8 @@ def settings(chance: random.Random) -> bytes:
 
 def arguments(chance: random.Random, folder: Path) -> list[str]:
     """A damaged file written to the folder, and words that have the command read it."""
-    file, points = folder / "damaged", folder / "points.csv"
+    file = folder / "damaged"
+    points = folder / "points.csv"
     if chance.random() < 0.1:
         file = folder / chance.choice(_NAMES)
     raw = damaged(chance)
@@ -437,10 +438,10 @@ class Outcome(NamedTuple):
             return f"exit status {self.status}"
         if self.megabytes > MOST_MB:
             return f"{self.megabytes:.0f} MB"
-        said = self.errors.splitlines()
+        lines = self.errors.splitlines()
         wanted = 0 if self.status == 0 else 1
-        if len(said) != wanted or not all(
-            line.startswith("curlfit: ") for line in said
+        if len(lines) != wanted or not all(
+            line.startswith("curlfit: ") for line in lines
         ):
             return "not one sentence on stderr"
         return None
@@ -473,8 +474,8 @@ def forked(words: list[str], errors: Path) -> Outcome:
             sys.stderr.flush()
             os._exit(status)
     _, wait, usage = os.wait4(child, 0)
-    said = errors.read_text(errors="replace")
-    return Outcome(os.waitstatus_to_exitcode(wait), usage.ru_maxrss / 1024, said)
+    message = errors.read_text(errors="replace")
+    return Outcome(os.waitstatus_to_exitcode(wait), usage.ru_maxrss / 1024, message)
 
 
 @dataclass
@@ -509,11 +510,13 @@ def tally(
     made: Callable[[random.Random, Path], list[str]] = arguments,
 ) -> Tally:
     """What becomes of `count` files of a seed."""
-    chance, errors, found = random.Random(seed), folder / "errors", Tally()
+    chance = random.Random(seed)
+    errors = folder / "errors"
+    outcomes = Tally()
     for k in range(count):
         words = made(chance, folder)
-        found.add(forked(words, errors), f"seed {seed}, file {k}, {words}")
-    return found
+        outcomes.add(forked(words, errors), f"seed {seed}, file {k}, {words}")
+    return outcomes
 
 
 def imported(folder: Path) -> None:
@@ -530,7 +533,9 @@ def imported(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    folder = Path(sys.argv[1])
+    seed = int(sys.argv[2])
+    count = int(sys.argv[3])
     made = of_grid if "grids" in sys.argv[4:] else arguments
     imported(folder)
     gc.freeze()  # pages that copies need not write to

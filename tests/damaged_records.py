@@ -79,27 +79,27 @@ def save_all(folder: Path) -> None:
     import curlfit
     from curlfit.inference.together.result import folder_name
 
-    found = of_all(curlfit.load_throw(DATA))
+    results = of_all(curlfit.load_throw(DATA))
     names = {"prediction": "predict", "comparison": "compare"}
-    chain = found.pop("chain")
-    for name, result in found.items():
+    chain = results.pop("chain")
+    for name, result in results.items():
         kind = names.get(name, name)
         (folder / kind).mkdir()
         result.save(folder / kind / f"{kind}.json")
     chain.save(folder / "fit" / "chain.h5")
-    for one in found["joint"].throws:
-        own = folder / "joint" / folder_name(one.data.file)
-        own.mkdir(exist_ok=True)
-        one.save(own / "fit.json")
+    for fit in results["joint"].throws:
+        throw_folder = folder / "joint" / folder_name(fit.data.file)
+        throw_folder.mkdir(exist_ok=True)
+        fit.save(throw_folder / "fit.json")
 
 
 def places(value: Any) -> Iterator[tuple[Any, Any]]:
     """Every container of a record with each of its keys."""
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, item in items:
+    members = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, member in members:
         yield value, key
-        if isinstance(item, dict | list):
-            yield from places(item)
+        if isinstance(member, dict | list):
+            yield from places(member)
 
 
 def damage(chance: random.Random, text: str) -> str:
@@ -109,9 +109,9 @@ def damage(chance: random.Random, text: str) -> str:
     record = json.loads(text)
     for _ in range(chance.choice([1, 1, 1, 2, 4])):
         all_ = [
-            one
-            for one in places(record)
-            if isinstance(one[0], dict) or chance.random() < 0.02
+            slot
+            for slot in places(record)
+            if isinstance(slot[0], dict) or chance.random() < 0.02
         ]
         if not all_:
             break
@@ -130,11 +130,11 @@ def damage(chance: random.Random, text: str) -> str:
             holder[key] = deepcopy(other[0][other[1]])
         else:
             holder[key] = chance.choice(_VALUES)
-    made = json.dumps(record)
+    damaged = json.dumps(record)
     if chance.random() < 0.03:
         deep = chance.choice([20, 300, 900, 100_000])
-        made = made.replace(": 0", f": {'[' * deep}{']' * deep}", 1)
-    return made
+        damaged = damaged.replace(": 0", f": {'[' * deep}{']' * deep}", 1)
+    return damaged
 
 
 def damage_chain(chance: random.Random, file: Path) -> None:
@@ -147,7 +147,8 @@ def damage_chain(chance: random.Random, file: Path) -> None:
         return
     with h5py.File(file, "r+") as out:
         name = chance.choice(["mcmc/chain", "mcmc/log_prob", "mcmc/accepted"])
-        data, kind = out[name], chance.random()
+        data = out[name]
+        kind = chance.random()
         if kind < 0.5:
             value = data[:]
             shape = chance.choice(
@@ -173,7 +174,8 @@ def damage_chain(chance: random.Random, file: Path) -> None:
 
 def tally(samples: Path, seed: int, count: int) -> Tally:
     """What becomes of `count` damaged records of a seed."""
-    chance, found = random.Random(seed), Tally()
+    chance = random.Random(seed)
+    outcomes = Tally()
     work = samples.parent / f"{samples.name}-work-{seed}"
     folders = sorted(folder for folder in samples.iterdir() if folder.is_dir())
     for k in range(count):
@@ -204,19 +206,21 @@ def tally(samples: Path, seed: int, count: int) -> Tally:
         }[verb]
         if verb == "export" and kind not in ("fit", "joint", "compare"):
             words = ["show", f"{work}"]
-        before = len(found.faults)
+        before = len(outcomes.faults)
         outcome = forked(words, work.with_suffix(".errors"))
-        found.add(outcome, f"seed {seed}, record {k}, {words}")
-        if len(found.faults) > before:
+        outcomes.add(outcome, f"seed {seed}, record {k}, {words}")
+        if len(outcomes.faults) > before:
             shutil.copytree(
                 work, work.with_name(f"fault-{seed}-{k}"), dirs_exist_ok=True
             )
     shutil.rmtree(work)
-    return found
+    return outcomes
 
 
 if __name__ == "__main__":
-    folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    folder = Path(sys.argv[1])
+    seed = int(sys.argv[2])
+    count = int(sys.argv[3])
     folder.mkdir(exist_ok=True)
     if not (folder / "fit").exists():
         with get_context("spawn").Pool(1) as own:  # JAX has threads, which a copy lacks

@@ -14,8 +14,9 @@ def run_examples(name, namespace):
     test = doctest.DocTestParser().get_doctest(text, namespace, name, None, None)
     if not test.examples:
         return f"{name} has no example"
-    test.globs, said = namespace, []  # what an example defines is there for the next
+    test.globs = namespace  # what an example defines is there for the next
+    failures = []
     doctest.DocTestRunner(optionflags=_FLAGS).run(
-        test, out=said.append, clear_globs=False
+        test, out=failures.append, clear_globs=False
     )
-    return "".join(said)
+    return "".join(failures)

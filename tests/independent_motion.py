@@ -97,14 +97,14 @@ class Motion(NamedTuple):
     def at(self, times: np.ndarray) -> np.ndarray:
         """x, y, phi, shape (3, n); held after rest."""
         start = np.array([self.start.x, self.start.y, self.start.phi])
-        places = np.repeat(start[:, None], len(times), 1)
+        path = np.repeat(start[:, None], len(times), 1)
         for phase in self.phases:
             later = times >= phase.t[0]
             if not later.any():
                 break
             inside = np.minimum(times[later], phase.t[-1])
-            places[:, later] = phase.sol(inside)[[0, 1, 4]]
-        return places
+            path[:, later] = phase.sol(inside)[[0, 1, 4]]
+        return path
 
 
 def integrated(

@@ -69,7 +69,8 @@ def picked_up(c: Columns) -> Columns:
 
 def collided(c: Columns) -> Columns:
     """At 12 s it hits another stone and goes on with half its speed to the side."""
-    hit, result = 120, {name: values.copy() for name, values in c.items()}
+    hit = 120
+    result = {name: values.copy() for name, values in c.items()}
     dy = c["y"][hit:] - c["y"][hit]
     result["y"][hit:] = c["y"][hit] + 0.4 * dy
     result["x"][hit:] = c["x"][hit] + 0.3 * dy

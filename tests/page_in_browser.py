@@ -152,9 +152,9 @@ def in_report(browser, script):
 
 
 def save(browser, name):
-    place = browser.find_element("css selector", ".result .repeat input")
-    place.clear()
-    place.send_keys(name)
+    field = browser.find_element("css selector", ".result .repeat input")
+    field.clear()
+    field.send_keys(name)
     press(browser, "Save")
 
 
@@ -162,8 +162,8 @@ def answer(address, data=None, headers=None):
     """Status, headers and text of an answer."""
     request = urllib.request.Request(address, data, headers or {})
     try:
-        with urllib.request.urlopen(request) as found:
-            return found.status, found.headers, found.read().decode()
+        with urllib.request.urlopen(request) as reply:
+            return reply.status, reply.headers, reply.read().decode()
     except urllib.error.HTTPError as error:
         with error:
             return error.code, error.headers, ""
@@ -177,8 +177,8 @@ def let_in(address):
     """The cookie that an address gives, and the page to which it leads."""
     code, headers, text = answer(address)
     assert code == 200
-    cookie, path, *others = headers["Set-Cookie"].split("; ")
-    assert others == ["HttpOnly", "SameSite=Strict"]
+    cookie, path, *attributes = headers["Set-Cookie"].split("; ")
+    assert attributes == ["HttpOnly", "SameSite=Strict"]
     path = path.removeprefix("Path=")
     assert f"url={path}" in text
     return cookie, address.rsplit("/", 2)[0] + path

@@ -17,10 +17,10 @@ def of_fit(throw):
 
 def of_all(throw):
     """The same, and the others."""
-    found = of_fit(throw)
-    return found | {
+    results = of_fit(throw)
+    return results | {
         "joint": curlfit.fit_together([throw, throw]),
         "comparison": curlfit.compare(throw, ["front-back", "coulomb"]),
-        "profile": curlfit.profile(found["fit"], "mu1_xi", points=5),
+        "profile": curlfit.profile(results["fit"], "mu1_xi", points=5),
         "design": curlfit.design("front-back", v0=[2.0, 2.2], omega0=[1.0, 5.0]),
     }

@@ -79,7 +79,8 @@ def tracker(
     separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°)"
 ) -> str:
     """One object, with what Tracker computes from its places, in m and degrees."""
-    along, across = Y + 1.0, X + 0.5
+    along = Y + 1.0
+    across = X + 0.5
     vx, vy = (np.full(N, np.nan) for _ in range(2))
     vx[1:-1] = (across[2:] - across[:-2]) / (T[2:] - T[:-2])
     vy[1:-1] = (along[2:] - along[:-2]) / (T[2:] - T[:-2])
@@ -161,19 +162,19 @@ def video() -> dict:
     """An answer of curling-stone-tracker, in feet from the centre of the sheet: the
     throw above in two pieces, 10 m from the hack and 1 m to the right, of which the
     first is followed by two rows of the tracker's own, and a stone at rest."""
-    places = np.column_stack([X + 1.0, Y + 10.0 - LINES["centre"]]) / FOOT
+    positions = np.column_stack([X + 1.0, Y + 10.0 - LINES["centre"]]) / FOOT
     early = T <= 2.5
     late = T >= 6
     last = {"t": [2.75, 3.0], "place": [[3.3, -30.0], [3.3, -28.0]]}
     return {
         "state": {
             "stones": [
-                tracked("red", T[late], places[late].tolist()),
+                tracked("red", T[late], positions[late].tolist()),
                 tracked("yellow", T, [[-2.0, 57.5]] * N),
                 tracked(
                     "red",
                     [*T[early], *last["t"]],
-                    [*places[early].tolist(), *last["place"]],
+                    [*positions[early].tolist(), *last["place"]],
                     made=2,
                 ),
             ]
@@ -187,10 +188,10 @@ def tracked(color: str, times: Iterable[float], places: list, made: int = 0) -> 
     """A stone as curling-stone-tracker writes it; the last rows have `made`
     accelerations that are those of the row before."""
     times = [float(time) for time in times]
-    seen = len(times) - made
+    measured_rows = len(times) - made
     return {
         "acceleration_history": [
-            [0.0, -0.01 * min(k, seen - 1)] for k in range(len(times))
+            [0.0, -0.01 * min(k, measured_rows - 1)] for k in range(len(times))
         ],
         "color": color,
         "position_history": places,
@@ -335,10 +336,11 @@ def optitrack(
     if columns is None:
         stone, handle = np.split(np.array(list(marked_stone().values())), 2)
         height = np.full(N, 0.11)
-        places = [stone[1], height, stone[0], handle[1], height, handle[0]]
+        coordinates = [stone[1], height, stone[0], handle[1], height, handle[0]]
         names = ["X", "Y", "Z", "X handle", "Y handle", "Z handle"]
         columns = {
-            name: 1000 * place for name, place in zip(names, places, strict=True)
+            name: 1000 * coordinate
+            for name, coordinate in zip(names, coordinates, strict=True)
         }
     error = np.full(N, 0.2)
     body, marker = np.split(np.array(list(columns.values())), 2)
@@ -400,8 +402,8 @@ def ods(file: Path, rows: Iterable[str], **others: Iterable[str]) -> Path:
     """A workbook: an empty worksheet, one named `evening` with these rows, each the
     text of its cells, and others."""
     tables = {
-        name: "".join(f"<table:table-row>{row}</table:table-row>" for row in each)
-        for name, each in {"evening": rows, **others}.items()
+        name: "".join(f"<table:table-row>{row}</table:table-row>" for row in worksheet)
+        for name, worksheet in {"evening": rows, **others}.items()
     }
     sheets = (
         f'<table:table table:name="{k}">{v}</table:table>' for k, v in tables.items()

@@ -20,18 +20,18 @@ def typed(line: str, folder: Path) -> str:
     """What a `curlfit` line prints as a user types it."""
     program, *words = shlex.split(line)
     assert program == "curlfit"
-    found = command(*words, cwd=folder)
-    assert (found.returncode, found.stderr) == (0, ""), line
-    return found.stdout
+    run = command(*words, cwd=folder)
+    assert (run.returncode, run.stderr) == (0, ""), line
+    return run.stdout
 
 
 def blocks(page: str) -> list[tuple[list[str], str]]:
     """The commands of each block of a page, and the block of output that
     follows it, if any."""
-    found = re.findall(r"```bash\n(.*?)```(?:\n\n```text\n(.*?)```)?", page, re.S)
+    matches = re.findall(r"```bash\n(.*?)```(?:\n\n```text\n(.*?)```)?", page, re.S)
     return [
         ([line for line in part.splitlines() if line.strip()], text)
-        for part, text in found
+        for part, text in matches
     ]
 
 
@@ -47,9 +47,11 @@ def alike(line: str, text: str) -> bool:
     for match in re.finditer(pattern, text):
         pairs = zip(re.findall(NUMBER, line), match.groups(), strict=True)
         if all(
-            abs(float(one) - float(other))
-            <= max(5.5 * 10.0 ** -len(one.partition(".")[2]), 0.05 * abs(float(one)))
-            for one, other in pairs
+            abs(float(shown) - float(printed))
+            <= max(
+                5.5 * 10.0 ** -len(shown.partition(".")[2]), 0.05 * abs(float(shown))
+            )
+            for shown, printed in pairs
         ):
             return True
     return False
@@ -63,11 +65,11 @@ def require_shown(lines: Sequence[str], printed: str) -> None:
         text = re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
         return re.sub(_FLAT, r"\1 not identifiable", text)
 
-    found = words(printed)
+    printed_words = words(printed)
     for line in lines:
-        assert words(line) in found or alike(words(line), found), line
+        assert words(line) in printed_words or alike(words(line), printed_words), line
     # So do the quantiles of a flat posterior, which is wide, in their last digit.
-    ranges = {item[0]: item[1:] for item in re.findall(_FLAT, printed)}
+    ranges = {groups[0]: groups[1:] for groups in re.findall(_FLAT, printed)}
     for name, *limits in re.findall(_FLAT, "\n".join(lines)):
         np.testing.assert_allclose(
             np.array(ranges[name], float), np.array(limits, float), atol=5e-4

@@ -438,8 +438,8 @@ def _fit_season(
     and its figure."""
     from curlfit.output.files import claim_folder
 
-    table, *others = tables
-    if others:
+    table, *other_files = tables
+    if other_files:
         raise InputError(
             f"{table}: a table of many throws; expected no other file beside it"
         )

@@ -50,16 +50,16 @@ def compare(
 
     if not data:
         raise InputError("compare: no file given; expected DATA")
-    first, *others = data
-    if others:
+    first_file, *other_files = data
+    if other_files:
         return _several(data, flags, reading, config, output)
-    if is_friction_table(first, reading.worksheet, reading.columns):
+    if is_friction_table(first_file, reading.worksheet, reading.columns):
         from curlfit.friction_tables.command import fit_table
 
-        return fit_table(first, flags, output, "compare", reading)
-    if rows_of_table(first, reading):
+        return fit_table(first_file, flags, output, "compare", reading)
+    if rows_of_table(first_file, reading):
         return _several(data, flags, reading, config, output)
-    return _one_throw(first, flags, reading, config, output)
+    return _one_throw(first_file, flags, reading, config, output)
 
 
 def _several(

@@ -65,7 +65,7 @@ def document(comparison: Comparison) -> Document:
     if comparison.sets:
         return document_of_sets(comparison)
     data = comparison.data
-    first_conclusion, *others = conclusions(comparison)
+    first_conclusion, *other_conclusions = conclusions(comparison)
     count = len(comparison.candidates)
     loss = LOSSES[comparison.loss].suffix
     noise = ""
@@ -93,7 +93,11 @@ def document(comparison: Comparison) -> Document:
                 (coefficients_table(comparison),),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
+            Section(
+                "conclusions",
+                "What follows",
+                (Said(first_conclusion), *other_conclusions),
+            ),
             Section(
                 "lacking", "What the first law lacks", _lacking(comparison), brief=False
             ),
@@ -305,10 +309,10 @@ def _about_evidence(weights: Mapping[str, float]) -> str:
 
 def _about_predictions(ranked: list[Candidate]) -> str:
     """Which laws leave-one-out does not distinguish from the best."""
-    best, *others = sorted(ranked, key=lambda law: -(law.delta_elpd or 0.0))
+    best, *other_laws = sorted(ranked, key=lambda law: -(law.delta_elpd or 0.0))
     alike = [
         law.label
-        for law in others
+        for law in other_laws
         if -(law.delta_elpd or 0.0) < max(_ELPD, 2 * (law.delta_elpd_se or 0.0))
     ]
     order = f"prefers {best.label} to all others"

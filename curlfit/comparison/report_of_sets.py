@@ -37,7 +37,7 @@ def document_of_sets(comparison: Comparison) -> Document:
     """Ranks, each data set, coefficients, and what speaks against which law."""
     sets = comparison.sets
     candidates = comparison.candidates
-    first_conclusion, *others = _conclusions(comparison)
+    first_conclusion, *other_conclusions = _conclusions(comparison)
     several = len(sets) > 1
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
@@ -64,7 +64,11 @@ def document_of_sets(comparison: Comparison) -> Document:
                 ),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
+            Section(
+                "conclusions",
+                "What follows",
+                (Said(first_conclusion), *other_conclusions),
+            ),
         ),
         notes=[_noise(data_set) for data_set in sets if data_set.noise_of],
         title=f"{', '.join(map(short, sets))}: which law?",

@@ -128,16 +128,16 @@ def _is_proportional(function: Callable[..., Any], parameters: int) -> bool:
     """Whether a function of numbers is a constant times its first input, whatever the
     other inputs, of which there are `parameters`."""
     unit: Any = np.ones(())
-    others = (unit,) * parameters
+    other_inputs = (unit,) * parameters
 
     def derivative(first: Array, *others: Array) -> Any:
         return jax.jvp(lambda value: function(value, *others), (first,), (unit,))[1]
 
     with jax.ensure_compile_time_eval():
-        at_zero = float(function(0 * unit, *others))
-    if at_zero != 0 or any(depends_on(derivative, unit, *others)):
+        at_zero = float(function(0 * unit, *other_inputs))
+    if at_zero != 0 or any(depends_on(derivative, unit, *other_inputs)):
         return False
-    return not any(depends_on(function, unit, *others)[1:])
+    return not any(depends_on(function, unit, *other_inputs)[1:])
 
 
 def example_law(kind: type[AnyLaw]) -> AnyLaw:

@@ -190,31 +190,31 @@ def _slopes_on_ring(
     k = len(contact.coefficients)
     count = len(coefficients)
     inputs = [*coefficients, *contact.motion]
-    # places among these, of the coefficients that the law has and of the motion
-    places = []
+    # indices among these, of the coefficients that the law has and of the motion
+    indices = []
     lacking = 0
     for number in numbers:
         if number >= k:
-            places.append(number - k + count)
+            indices.append(number - k + count)
         elif number - first < count:
-            places.append(number - first)
+            indices.append(number - first)
         else:
             lacking += 1
 
     def force_at(*values: Array) -> Values:
         moved = list(inputs)
-        for place, value in zip(places, values, strict=True):
-            moved[place] = value
+        for index, value in zip(indices, values, strict=True):
+            moved[index] = value
         return force(law.from_vector(moved), RingMotion(*moved[count:]))
 
     slopes: Values = (contact.zeros(0),) * 3
-    if places:
-        varied = tuple(inputs[place] for place in places)
+    if indices:
+        varied = tuple(inputs[index] for index in indices)
         slopes = _along(force_at, varied, _unit_directions(varied))
     if not lacking:
         return slopes
     # zeros for the coefficients that it lacks, after those that it has
-    before = sum(place < count for place in places)
+    before = sum(index < count for index in indices)
 
     def with_zeros(part: Array) -> Array:
         return jnp.concatenate([part[:before], contact.zeros(lacking), part[before:]])

@@ -277,10 +277,10 @@ def _check(law: LocalLaw, load: Load, motion: tuple[float, ...]) -> None:
         edges = np.sort(jumps.front if front else jumps.back)
         traction_by_part: dict[int, Any] = {}
         for angle in angles if front else -angles:
-            here = traction(law, load, front, angle, motion)
+            components_here = traction(law, load, front, angle, motion)
             part = int(np.searchsorted(edges, angle))
-            first = traction_by_part.setdefault(part, here)
-            for component, component_here in zip(first, here, strict=True):
+            first = traction_by_part.setdefault(part, components_here)
+            for component, component_here in zip(first, components_here, strict=True):
                 if component.terms != component_here.terms:
                     raise TypeError("friction varies between two edges")
         for across, along in traction_by_part.values():

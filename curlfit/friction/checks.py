@@ -237,16 +237,16 @@ class Check:
             f"between {step.begin:.4f} and {step.end:.4f} rad"
             for step in jumps[:_MOST_NAMED] or [roughest]
         ]
-        place = f"{', '.join(ranges)} (error of its sum over the ring: {error:.2%})"
+        region = f"{', '.join(ranges)} (error of its sum over the ring: {error:.2%})"
         if jumps or error > _LARGEST_ERROR:
             self.refuse(
                 f"{name}: friction jumps, or changes within a narrow range, "
-                f"{place}; {_EDGES}; if they depend on the speed, the load or the "
+                f"{region}; {_EDGES}; if they depend on the speed, the load or the "
                 f"time, {_GRADUAL}"
             )
         warn_once(
             f"{self.file}: {name}: friction has a kink, or changes within a narrow "
-            f"range, {place}; {_EDGES}"
+            f"range, {region}; {_EDGES}"
         )
 
     def _steps(self, condition: Conditions) -> list[Step]:
@@ -297,9 +297,9 @@ class Check:
         not_turned = self.sampled.net(course._replace(turned=0 * course.turned))
         shift_by_time, _ = _shift(not_turned, law, spin)
         if shift_by_time > _LARGEST_SHIFT:
-            place = f"{time:.3g} s after release"
+            instant = f"{time:.3g} s after release"
         else:
-            place = f"an angle turned of {spin * time:.3g} rad"
+            instant = f"an angle turned of {spin * time:.3g} rad"
         largest_share = np.abs(np.diff(net)).max() / np.ptp(net, axis=1).max()
         sufficient_rates = [
             rate for rate in _RATES if _shift(net, law, spin, rate)[0] <= _LARGEST_SHIFT
@@ -313,7 +313,7 @@ class Check:
             )
         self.refuse(
             f"{self.law.__name__}: friction changes too quickly for the steps in "
-            f"time, at {place} (error of the path about {1000 * shift:.2g} mm); "
+            f"time, at {instant} (error of the path about {1000 * shift:.2g} mm); "
             f"{remedy}"
         )
 

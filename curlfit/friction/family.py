@@ -41,12 +41,12 @@ class LawFamily(Law):
         count = max(len(member.corners) for member in self.members)
         index = self._values()[0]
         corners = []
-        for place in range(count):
+        for corner_number in range(count):
             corner: Any = 0
             for number, member in enumerate(self.members):
                 of_member = _NEVER
-                if place < len(member.corners):
-                    of_member = member.corners[place]
+                if corner_number < len(member.corners):
+                    of_member = member.corners[corner_number]
                 corner = corner + (index == number) * of_member
             corners.append(corner)
         return tuple(corners)

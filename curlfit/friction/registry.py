@@ -47,12 +47,12 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
             f"{name} does not brake a stone; add it to a law of the ring, "
             f"as in power+{name}"
         )
-    first, *others = name.split("+")
+    first_part, *other_parts = name.split("+")
     # The first part may be a file, whose name may have a plus of its own.
-    if others and all(part in TERMS or part in LAWS for part in others):
+    if other_parts and all(part in TERMS or part in LAWS for part in other_parts):
         laws: list[Any] = [
             TERMS.get(part) or find_law(part, from_files=from_files)
-            for part in (first, *others)
+            for part in (first_part, *other_parts)
         ]
         return checked(sum_of(*laws))
     if from_files:

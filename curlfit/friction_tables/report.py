@@ -69,10 +69,12 @@ def document(result: FrictionFits) -> Document:
 
 def _conclusion(result: FrictionFits) -> str:
     """Which laws the table leaves possible."""
-    first, *others = result.fits
-    if not others:
+    first, *other_fits = result.fits
+    if not other_fits:
         return _determined(first)
-    near = [fit.law for fit in others if fit.converged and fit.bic - first.bic <= _NEAR]
+    near = [
+        fit.law for fit in other_fits if fit.converged and fit.bic - first.bic <= _NEAR
+    ]
     rest = "the others are far behind"
     if near:
         rest = f"not to be told from it: {join_words(near)}"

@@ -114,8 +114,8 @@ class Slider:
         # Lagrange's weights: 1 at a node of its own, 0 at the others
         weights = np.ones(len(nodes))
         for index, node in enumerate(nodes):
-            others = np.delete(nodes, index)
-            weights[index] = np.prod((step - others) / (node - others))
+            other_nodes = np.delete(nodes, index)
+            weights[index] = np.prod((step - other_nodes) / (node - other_nodes))
         return weights @ self.changes[first : first + 4]
 
     def share(self, step: float) -> float:

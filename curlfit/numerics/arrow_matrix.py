@@ -118,8 +118,8 @@ def _solutions(matrix: Array, right: Array) -> Array:
         """The system with column k of the matrix made that of the identity."""
         row = jax.lax.dynamic_index_in_dim(system, k, -2)
         row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
-        others = system - jax.lax.dynamic_index_in_dim(system, k, -1) * row
-        return jnp.where(jnp.arange(len(matrix))[:, None] == k, row, others)
+        other_rows = system - jax.lax.dynamic_index_in_dim(system, k, -1) * row
+        return jnp.where(jnp.arange(len(matrix))[:, None] == k, row, other_rows)
 
     system = jnp.concatenate([matrix, right], -1)
     return jax.lax.fori_loop(0, len(matrix), eliminated, system)[:, len(matrix) :]

@@ -110,9 +110,9 @@ class MixedModel(NamedTuple):
         )
         change[:, -1, -1] = 1.0
         # a prior says nothing of effects; its last column is that of the observations
-        places = np.full(effects, len(self.prior) - 1)
-        prior = np.insert(self.prior, places, 0.0, axis=0)
-        prior = np.insert(prior, places, 0.0, axis=1)
+        positions = np.full(effects, len(self.prior) - 1)
+        prior = np.insert(self.prior, positions, 0.0, axis=0)
+        prior = np.insert(prior, positions, 0.0, axis=1)
         return self._replace(
             products=change.mT @ self.products @ change,
             covariates=np.concatenate([self.covariates, covariates], 1),

@@ -325,10 +325,10 @@ def _hook_of_dataclass(converter: Any, kind: Any) -> Hook:
         missing = [key for key in needed if key not in value]
         if missing:
             raise ValueError(f"no {missing[0]!r} in it")
-        made = of_dataclass(_with_codes(value, list(level_by_key)), kind)
-        if hasattr(made, "require_consistent"):  # a `Record`
-            made.require_consistent()
-        return made
+        instance = of_dataclass(_with_codes(value, list(level_by_key)), kind)
+        if hasattr(instance, "require_consistent"):  # a `Record`
+            instance.require_consistent()
+        return instance
 
     return hook
 

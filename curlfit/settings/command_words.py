@@ -78,9 +78,9 @@ def _names(cli: App, verb: str) -> _Names:
 def _standard_input(verb: str, before: Sequence[str]) -> str:
     """What stands for `-` among the words of a verb, after those `before`."""
     if verb not in READ_STANDARD_INPUT:
-        *others, last = READ_STANDARD_INPUT
+        *verbs, last = READ_STANDARD_INPUT
         raise InputError(
-            f"{verb} -: only {', '.join(others)} and {last} read standard input; "
+            f"{verb} -: only {', '.join(verbs)} and {last} read standard input; "
             "expected a name"
         )
     if STANDARD_INPUT in before:

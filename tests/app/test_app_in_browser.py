@@ -39,19 +39,19 @@ pytestmark = pytest.mark.browser
 
 def contents(folder):
     """The files of a folder: JSON and pages as they are, and the samples of chains."""
-    found = {}
+    by_name = {}
     for file in sorted(folder.rglob("*")):
         name = str(file.relative_to(folder))
         if file.suffix == ".json":
-            found[name] = json.loads(file.read_text())
+            by_name[name] = json.loads(file.read_text())
         elif file.suffix == ".html":
-            found[name] = file.read_text()
+            by_name[name] = file.read_text()
         elif file.suffix == ".h5":
             with h5py.File(file) as chain:
-                found[name] = float(np.sum(chain["mcmc/chain"]))
+                by_name[name] = float(np.sum(chain["mcmc/chain"]))
         elif file.is_file():
-            found[name] = file.read_bytes()
-    return found
+            by_name[name] = file.read_bytes()
+    return by_name
 
 
 def test_only_who_knows_the_address_sees_the_page(served):
@@ -66,16 +66,17 @@ def test_only_who_knows_the_address_sees_the_page(served):
     ):
         assert status(root + path) == 404
     listening = psutil.Process(served.process.pid).net_connections("inet")
-    assert {one.laddr.ip for one in listening if one.status == "LISTEN"} == {
-        "127.0.0.1"
-    }
+    assert {
+        connection.laddr.ip for connection in listening if connection.status == "LISTEN"
+    } == {"127.0.0.1"}
     refused = process("app", "--no-browser", "--port", port, cwd=served.folder)
     assert refused.returncode == 2
     assert refused.stderr.startswith(f"curlfit: --port {port}: ")
 
 
 def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_path):
-    name, folder = DATA.name, served.folder
+    name = DATA.name
+    folder = served.folder
     drop(page, DATA)
     wait_for(lambda: "230 rows in 22.9 s" in said(page))
     assert len(page.find_elements("css selector", ".seen svg")) == 3
@@ -84,7 +85,8 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     assert shown_command(page) == " ".join(["curlfit", *words])
     fitted(page)
     wait_for(lambda: in_report(page, "return !!document.querySelector('#replay-0')"))
-    frame, inner = page.find_element("css selector", "iframe").rect["height"], 0
+    frame = page.find_element("css selector", "iframe").rect["height"]
+    inner = 0
     wait_for(lambda: in_report(page, "return document.body.offsetHeight") > 3000)
     inner = in_report(page, "return document.body.offsetHeight")
     wait_for(
@@ -102,9 +104,9 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     assert contents(folder / "mine") == contents(tmp_path / f"{DATA.stem}-fit")
     script = "return performance.getEntriesByType('resource').map(one => one.name)"
     assert {
-        one.split("/")[2]
-        for one in page.execute_script(script)
-        if one.startswith("http")
+        url.split("/")[2]
+        for url in page.execute_script(script)
+        if url.startswith("http")
     } == {served.address.split("/")[2]}
 
 
@@ -192,7 +194,9 @@ def test_law_stone_and_options_are_those_of_the_command(page, served):
     line = f"curlfit fit {DATA.name} --law=coulomb --until 18 --derive 'mu*1' --report"
     assert shown_command(page) == line
     summaries = page.find_elements("css selector", "summary")
-    (options,) = [one for one in summaries if one.text.startswith("All options")]
+    (options,) = [
+        summary for summary in summaries if summary.text.startswith("All options")
+    ]
     assert "--max-steps" not in said(page)
     options.click()
     assert "--max-steps" in said(page)
@@ -219,9 +223,9 @@ def test_a_bad_file_is_refused_and_a_second_one_replaces_it(page, served, tmp_pa
     wait_for(lambda: refused in " ".join(said(page).split()))
     assert "Traceback" not in said(page)
     (kept,) = [
-        one
-        for one in psutil.Process(served.process.pid).cwd().split()
-        if "curlfit-app" in one
+        folder
+        for folder in psutil.Process(served.process.pid).cwd().split()
+        if "curlfit-app" in folder
     ]
     assert os.listdir(kept) == ["bad.csv"]
     drop(page, DATA)
@@ -255,24 +259,25 @@ def test_the_page_fits_the_screen(page, width, scheme):
 
 
 def test_work_can_be_stopped_and_ctrl_c_leaves_nothing(page, served):
-    process, address = served.process, served.address
-    own = psutil.Process(process.pid)
-    kept = own.cwd()
+    process = served.process
+    address = served.address
+    server = psutil.Process(process.pid)
+    kept = server.cwd()
     drop(page, DATA)
     wait_for(lambda: "230 rows" in said(page))
     for ending in ("stop", "end"):
         press(page, "Compare laws")
         wait_for(lambda: "At work" in said(page) and "Fitting" in said(page), LONG)
-        assert own.children()
+        assert server.children()
         if ending == "stop":
             press(page, "Stop")
-            wait_for(lambda: "At work" not in said(page) and not own.children(), 60)
+            wait_for(lambda: "At work" not in said(page) and not server.children(), 60)
             assert not page.find_elements("css selector", ".result")
-    below = own.children(recursive=True)
+    below = server.children(recursive=True)
     page.get("about:blank")
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=30) == 0
-    wait_for(lambda: not any(one.is_running() for one in below), 20)
+    wait_for(lambda: not any(child.is_running() for child in below), 20)
     assert not os.path.exists(kept)
     with pytest.raises(urllib.error.URLError, match="refused"):
         urllib.request.urlopen(address)

@@ -27,7 +27,8 @@ from curlfit.cli import app
 from curlfit.errors import InputError, Option
 
 SUM = ("--law", "power+sideways")
-FIT, COMPARE = flags_of(app, "fit"), flags_of(app, "compare")
+FIT = flags_of(app, "fit")
+COMPARE = flags_of(app, "compare")
 LINE = (
     "--units t=ms,x=cm --until 18 --sweep=6:11 --fix phi0=0,x0=1 --bound mu1_xi=0:0.05 "
     "--bound mu2_xi=:1 --unbounded --free slope_x,drag --derive 'mu2_xi - mu1_xi' "
@@ -51,7 +52,8 @@ def test_a_line_reads_as_the_command_reads_it():
     words = Written(law="coulomb", stone="rho=0.1", line=LINE).words()
     assert words == ["--law=coulomb", "--stone=rho=0.1", *shlex.split(LINE)]
     _, bound, _ = app.parse_args(["fit", "a.csv", *words])
-    flags, reading = bound.arguments["flags"], bound.arguments["reading"]
+    flags = bound.arguments["flags"]
+    reading = bound.arguments["reading"]
     assert values_of(app, words) == {**flags.given(), **reading.given()}
     assert flags.derive == ("mu2_xi - mu1_xi",)
     assert flags.bounds == {"mu1_xi": (0.0, 0.05), "mu2_xi": (-math.inf, 1.0)}
@@ -123,8 +125,8 @@ def test_a_proposal_is_added_to_what_is_written():
     line = Written().with_option(FIT["--free"], "drag")
     assert line == Written(line="--free drag")
     assert line.with_option(FIT["--free"], "drag") == line
-    both = line.with_option(FIT["--free"], "slope_x")
-    assert values_of(app, both.words()) == {"free": ("drag", "slope_x")}
+    longer_line = line.with_option(FIT["--free"], "slope_x")
+    assert values_of(app, longer_line.words()) == {"free": ("drag", "slope_x")}
     milli = Written(line="--units t=s").with_option(FIT["--units"], "t=ms")
     assert values_of(app, milli.words()) == {"units": "t=ms"}  # the last one counts
     quoted = Written().with_option(FIT["--reference"], "my points.csv")
@@ -137,19 +139,19 @@ def test_a_proposal_is_added_to_what_is_written():
 
 
 def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
-    seen = look([DATA], {})
-    assert (seen.fault, seen.oddities) == ("", [])
+    reading = look([DATA], {})
+    assert (reading.fault, reading.oddities) == ("", [])
     throw = load_throw(DATA)
-    assert "230 rows in 22.9 s" in seen.finding
+    assert "230 rows in 22.9 s" in reading.finding
     assert (
         f"turns {throw.phi[-1] / (2 * 3.14159265):.2g} times counter-clockwise"
-        in seen.finding
+        in reading.finding
     )
-    curl = re.search(r"curls ([\d.]+) m to the left", seen.finding)[1]
+    curl = re.search(r"curls ([\d.]+) m to the left", reading.finding)[1]
     assert float(curl) == pytest.approx(-throw.x[-1], abs=0.1)  # thrown along y
-    assert seen.shown.count("<svg") == 3
+    assert reading.shown.count("<svg") == 3
     for line in invoke(["check", DATA]).stdout.splitlines()[:5]:
-        assert line in seen.text
+        assert line in reading.text
 
     lines = DATA.read_text().splitlines()
     head = lines.index("t,x,y,phi")
@@ -162,18 +164,18 @@ def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
         ]
     )
     file = write(text, "feet.csv")
-    seen = look([file], {})
-    assert seen.fault == str(invoke(["fit", file, "--no-sample"]).exception)
-    assert proposals(FIT, seen.options)[0] == ("--units", "length=ft")
+    reading = look([file], {})
+    assert reading.fault == str(invoke(["fit", file, "--no-sample"]).exception)
+    assert proposals(FIT, reading.options)[0] == ("--units", "length=ft")
     assert look([file], {"units": "length=ft"}).fault == ""
 
 
 def test_a_folder_of_draws_and_a_table_of_friction():
-    seen = look([DATA.parent / "evening.csv"], {})
-    assert "throws, which are fitted together" in seen.finding
-    assert "hog to hog (s)" in seen.shown
-    seen = look([DATA.parent / "sutor_1988_friction.csv"], {})
-    assert seen.finding == "13 values of friction against speed, 0.6 to 3.98 m/s"
+    reading = look([DATA.parent / "evening.csv"], {})
+    assert "throws, which are fitted together" in reading.finding
+    assert "hog to hog (s)" in reading.shown
+    reading = look([DATA.parent / "sutor_1988_friction.csv"], {})
+    assert reading.finding == "13 values of friction against speed, 0.6 to 3.98 m/s"
 
 
 def test_without_nicegui_the_command_says_how_to_install_it(monkeypatch, tmp_path):
@@ -208,13 +210,16 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("chosen", [{}, {"columns": {"x": EVIL}}, {"worksheet": "a"}])
 def test_words_of_a_file_make_no_button(name, chosen, write):
-    seen = look([write(HOSTILE[name], name)], chosen)
-    findings = [*seen.oddities, *seen.notes]
-    assert seen.fault or findings or seen.finding
-    options = [*seen.options, *(one for item in findings for one in item.options)]
-    found = proposals(FIT, options)
-    assert ("--as-given", "yes") not in found
-    assert not {flag for flag, _ in found} & {"--law", "--reference"}
+    reading = look([write(HOSTILE[name], name)], chosen)
+    findings = [*reading.oddities, *reading.notes]
+    assert reading.fault or findings or reading.finding
+    options = [
+        *reading.options,
+        *(option for finding in findings for option in finding.options),
+    ]
+    buttons = proposals(FIT, options)
+    assert ("--as-given", "yes") not in buttons
+    assert not {flag for flag, _ in buttons} & {"--law", "--reference"}
 
 
 MARKS = st.sampled_from(["`", '"', "'", "\\", "=", ",", ":", "--law ", "1e999", "\0"])

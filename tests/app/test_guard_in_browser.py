@@ -51,23 +51,23 @@ def test_only_the_browser_that_was_let_in_sees_the_page(served):
     assert served.address != address
     assert status(page) == 403
     assert status(page, headers={"Cookie": cookie[:-1]}) == 403
-    own = {"Cookie": cookie}
-    assert status(page, headers=own) == 200
-    assert status(root + "/", headers=own) == 404
+    headers = {"Cookie": cookie}
+    assert status(page, headers=headers) == 200
+    assert status(root + "/", headers=headers) == 404
     for origin in ("null", "http://evil.example", "http://127.0.0.1:1"):
-        assert status(page, headers=own | {"Origin": origin}) == 403
-    assert status(page, headers=own | {"Host": f"evil.example:{port}"}) == 404
-    assert status(page, b"", headers=own | {"Content-Length": "100000001"}) == 413
+        assert status(page, headers=headers | {"Origin": origin}) == 403
+    assert status(page, headers=headers | {"Host": f"evil.example:{port}"}) == 404
+    assert status(page, b"", headers=headers | {"Content-Length": "100000001"}) == 413
 
 
 def test_the_page_is_in_no_frame_and_names_no_origin(served):
     cookie, page = let_in(served.address)
     served.address = served.next_address()
     origin = page.rsplit("/", 2)[0]
-    own = {"Cookie": cookie, "Origin": origin}
+    request_headers = {"Cookie": cookie, "Origin": origin}
     polling = "_nicegui_ws/socket.io/?EIO=4&transport=polling"
     for path in ("", polling, "results/nothing"):
-        headers = answer(page + path, headers=own)[1]
+        headers = answer(page + path, headers=request_headers)[1]
         assert not [name for name in headers if name.lower().startswith("access-")]
         assert headers["Referrer-Policy"] == "no-referrer"
         assert headers["X-Content-Type-Options"] == "nosniff"
@@ -251,8 +251,9 @@ def test_nothing_outlives_the_page(browser, blow, tmp_path, monkeypatch):
         drop(browser, DATA)
         press(browser, "Compare laws")
         wait_for(lambda: "Fitting" in said(browser), LONG)
-        own = psutil.Process(served.process.pid)
-        below, folder = own.children(recursive=True), kept(served)
+        server = psutil.Process(served.process.pid)
+        below = server.children(recursive=True)
+        folder = kept(served)
         assert below
         browser.get("about:blank")
         served.process.send_signal(getattr(signal, blow))

@@ -89,11 +89,11 @@ SHOWN = page.Page(app, Path(), Path())
 @settings(max_examples=200, deadline=None)
 @given(dropped=st.text(st.characters(codec="utf-8"), max_size=300))
 def test_any_name_of_a_dropped_file_is_a_name_in_the_folder(dropped):
-    with TemporaryDirectory() as place:
-        SHOWN.folder = Path(place)
+    with TemporaryDirectory() as directory:
+        SHOWN.folder = Path(directory)
         name = SHOWN._free_name(dropped)
-        (Path(place) / name).write_text("")
-        assert os.listdir(place) == [name]
+        (Path(directory) / name).write_text("")
+        assert os.listdir(directory) == [name]
     assert Path(name).suffix.lower() in page._SUFFIXES
     assert "`" not in name
     assert not name.startswith("-")
@@ -102,17 +102,18 @@ def test_any_name_of_a_dropped_file_is_a_name_in_the_folder(dropped):
 def test_the_folder_of_a_page_that_was_killed_goes(monkeypatch, tmp_path):
     monkeypatch.setattr(folder, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    left, foreign = tmp_path / "a-curlfit-app", tmp_path / "b-curlfit-app"
-    for place in (left, foreign):
-        place.mkdir()
-        (place / "throw.csv").write_text("")
+    left = tmp_path / "a-curlfit-app"
+    foreign = tmp_path / "b-curlfit-app"
+    for directory in (left, foreign):
+        directory.mkdir()
+        (directory / "throw.csv").write_text("")
     (left / "in-use").write_text("")
     linked = tmp_path / "c-curlfit-app"
     linked.symlink_to(left)
-    with folder.temporary_folder() as own:
+    with folder.temporary_folder() as first_folder:
         assert not left.exists()
         assert foreign.exists()  # no page ever locked it
-        with folder.temporary_folder() as other:
-            assert own.exists()
-            assert other != own
-    assert not own.exists()
+        with folder.temporary_folder() as second_folder:
+            assert first_folder.exists()
+            assert second_folder != first_folder
+    assert not first_folder.exists()

@@ -48,7 +48,7 @@ def season(tmp_path_factory):
     files of no use."""
     folder = tmp_path_factory.mktemp("season")
     random = np.random.default_rng(3)
-    for place in range(6):
+    for number in range(6):
         law = law_with(
             "front-back",
             {
@@ -63,19 +63,19 @@ def season(tmp_path_factory):
             v0=random.uniform(1.9, 2.3),
             omega0=random.choice([-1.5, 1.2]),
             heading=0.02,
-            until=28.0 if place == 1 else 20.0,
+            until=28.0 if number == 1 else 20.0,
             dt=0.2,
             noise_xy=0.005,
             noise_phi=0.01,
-            seed=place,
+            seed=number,
         )
         text = write_table(throw)
-        if place == 2:
+        if number == 2:
             text = "\n".join(
                 line if line.startswith("#") else ",".join(line.split(",")[:3])
                 for line in text.splitlines()
             )
-        (folder / f"throw{place}.csv").write_text(text)
+        (folder / f"throw{number}.csv").write_text(text)
     (folder / "broken.csv").write_text("t,x,y,phi\n0,0,0,0\n1,a,b,c\n")
     (folder / "cannot.csv").write_text(
         "t,x,y\n" + "".join(f"{k},1,2\n" for k in range(30))
@@ -127,15 +127,15 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     for row in rows[2:]:
         alone = curlfit.fit(curlfit.load_throw(row["file"]), details=False)
         assert row["status"] == ("ok" if alone.converged else "not usable")
-        for name, item in alone.parameters.items():
-            assert row[f"{name}_verdict"] == item.verdict, (row["file"], name)
-            scale = item.stderr or 1e-3
+        for name, estimate in alone.parameters.items():
+            assert row[f"{name}_verdict"] == estimate.verdict, (row["file"], name)
+            scale = estimate.stderr or 1e-3
             assert float(row[name]) == pytest.approx(
-                item.value, abs=1e-3 * scale + 1e-7
+                estimate.value, abs=1e-3 * scale + 1e-7
             ), name
-            if item.stderr is not None:
+            if estimate.stderr is not None:
                 assert float(row[f"{name}_stderr"]) == pytest.approx(
-                    item.stderr, rel=1e-3
+                    estimate.stderr, rel=1e-3
                 ), name
         assert float(row["rms_y"]) == pytest.approx(alone.rms["y"], rel=1e-5)
         (combination,) = (c for c in alone.combinations if c.expression == total)
@@ -154,11 +154,11 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert broken["mu1_xi"] == broken[total] == still[total] == ""
     warned = sum(row["status"] == "ok" and row["warnings"] != "" for row in rows)
     assert warned
-    said = (
+    summary = (
         f"ok ({warned} with warnings, in the column of that name), "
         "1 not usable, 1 failed"
     )
-    assert said in run.stdout
+    assert summary in run.stdout
 
 
 def test_company_changes_not_a_digit(season):
@@ -171,14 +171,12 @@ def test_company_changes_not_a_digit(season):
 def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
     out, run = done
     words = ["batch", str(season), "--out", str(out), "--workers", "1"]
-    whole, settings = (
-        out.read_bytes(),
-        out.with_name("season.settings.json").read_bytes(),
-    )
-    for size in (10, len(whole) // 2, len(whole) - 3):
-        out.write_bytes(whole[:size])
+    complete = out.read_bytes()
+    settings = out.with_name("season.settings.json").read_bytes()
+    for size in (10, len(complete) // 2, len(complete) - 3):
+        out.write_bytes(complete[:size])
         assert command(*words, cwd=out.parent).returncode == 0
-        assert out.read_bytes() == whole
+        assert out.read_bytes() == complete
         assert out.with_name("season.settings.json").read_bytes() == settings
     again = command(*words, cwd=out.parent).stdout
     assert "8 of 8 files" in again
@@ -189,14 +187,19 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
 def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
     """Against the null space of forces and moment over many motions and
     coefficients."""
-    law, random = LAWS[name], np.random.default_rng(1)
+    law = LAWS[name]
+    random = np.random.default_rng(1)
     ranges = ((0.05, 4), (-20, 20), (0, 12), (0, 20))
     states = np.array([random.uniform(*ends, POINTS) for ends in ranges])
-    names = [item.name for item in law.coefficients()]
+    names = [coefficient.name for coefficient in law.coefficients()]
     default, typical = np.array(
-        [(item.default, item.typical) for item in law.coefficients()]
+        [
+            (coefficient.default, coefficient.typical)
+            for coefficient in law.coefficients()
+        ]
     ).T
-    model, columns = Model(law, "uniform").within(RING), []
+    model = Model(law, "uniform").within(RING)
+    columns = []
     for _ in range(3):
         values = default + typical * random.uniform(0.1, 0.5, len(names))
         some = values[None], typical, stacked([Stone()]), states[None], 1
@@ -345,8 +348,8 @@ def test_two_batches_do_not_write_one_table(season, tmp_path):
         before = out.read_bytes()
         for more in ((), ("--again",)):
             done = command(*words, *more, cwd=tmp_path)
-            said = "results.csv: another `curlfit batch` is writing this table"
-            assert (done.returncode, said in done.stderr) == (2, True)
+            message = "results.csv: another `curlfit batch` is writing this table"
+            assert (done.returncode, message in done.stderr) == (2, True)
             assert out.read_bytes() == before
     assert command(*words, cwd=tmp_path).returncode == 0
 
@@ -378,8 +381,8 @@ def many(season, tmp_path):
     folder = tmp_path / "many"
     folder.mkdir()
     text = (season / "throw0.csv").read_text()
-    for place in range(400):
-        (folder / f"{place:04d}.csv").write_text(text)
+    for number in range(400):
+        (folder / f"{number:04d}.csv").write_text(text)
     return folder
 
 

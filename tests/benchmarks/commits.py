@@ -54,7 +54,8 @@ class Timed:
 
 def commands(folder: Path) -> dict[str, list[str]]:
     """The commands that are timed, by name; later ones use results of the first."""
-    fitted, out = str(folder / "fitted"), ["--out", str(folder / "out")]
+    fitted = str(folder / "fitted")
+    out = ["--out", str(folder / "out")]
     return {
         "fit": ["fit", str(DATA), "--no-sample", "--out", fitted],
         "fit with posterior": ["fit", str(DATA), *out],
@@ -116,7 +117,9 @@ def write_throws(folder: Path) -> None:
     """
     folder.mkdir()
     random = np.random.default_rng(5)
-    R, rho, g = 0.065, 0.1025, 9.81
+    R = 0.065
+    rho = 0.1025
+    g = 9.81
     for number in range(THROWS):
         mu1_xi = random.uniform(0.001, 0.01)
         mu2_xi = random.uniform(0.03, 0.06)

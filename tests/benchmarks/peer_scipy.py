@@ -14,23 +14,30 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-G, RADIUS, RHO = 9.81, 0.054, 0.1
+G = 9.81
+RADIUS = 0.054
+RHO = 0.1
 TYPICAL = np.array([0.01, 0.01, 0.01, 0.01, 1.0, 1.0, 0.1, 1.0, 1.0, 1.0])
 
 _x, _w = np.polynomial.legendre.leggauss(16)
 ALPHA = np.concatenate([(_x + 1) * np.pi / 2, (_x - 1) * np.pi / 2])
 WEIGHT = np.concatenate([_w, _w]) / 4
-XI, ETA, FRONT = np.cos(ALPHA), np.sin(ALPHA), np.sin(ALPHA) > 0
+XI = np.cos(ALPHA)
+ETA = np.sin(ALPHA)
+FRONT = np.sin(ALPHA) > 0
 
 
 def rates(_, state, mu_xi, mu_eta):
     """d/dt of x, y, heading, v, phi, omega."""
     _, _, heading, v, _, omega = state
     v = max(v, 1e-9)
-    slide_xi, slide_eta = -RADIUS * omega * ETA, v + RADIUS * omega * XI
+    slide_xi = -RADIUS * omega * ETA
+    slide_eta = v + RADIUS * omega * XI
     speed = np.sqrt(slide_xi**2 + slide_eta**2) + 1e-300
-    t_xi, t_eta = -mu_xi * slide_xi / speed, -mu_eta * slide_eta / speed
-    a_xi, a_eta = G * WEIGHT @ t_xi, G * WEIGHT @ t_eta
+    t_xi = -mu_xi * slide_xi / speed
+    t_eta = -mu_eta * slide_eta / speed
+    a_xi = G * WEIGHT @ t_xi
+    a_eta = G * WEIGHT @ t_eta
     spin = G * RADIUS / RHO**2 * WEIGHT @ (XI * t_eta - ETA * t_xi)
     return v * np.sin(heading), v * np.cos(heading), a_xi / v, a_eta, omega, spin
 
@@ -75,7 +82,7 @@ def main(file):
     bounds = [0] * 4 + [-np.inf] * 6, [1] * 4 + [np.inf] * 6
     sigma = np.ones((3, 1))
     for _ in range(2):
-        found = least_squares(
+        fit = least_squares(
             lambda p, sigma=sigma: ((path(p, t) - data) / sigma).ravel(),
             start,
             bounds=bounds,
@@ -84,10 +91,10 @@ def main(file):
             ftol=1e-10,
             gtol=1e-10,
         )
-        start = np.clip(found.x, [0] * 4 + [-1e9] * 6, [1] * 4 + [1e9] * 6)
-        residual = found.fun.reshape(3, -1) * sigma
+        start = np.clip(fit.x, [0] * 4 + [-1e9] * 6, [1] * 4 + [1e9] * 6)
+        residual = fit.fun.reshape(3, -1) * sigma
         sigma = residual.std(1, keepdims=True)
-    return found.x
+    return fit.x
 
 
 def skipped(file):

@@ -11,8 +11,10 @@ import sys
 import numpy as np
 from scipy.optimize import least_squares
 
-G, FOOT = 9.81, 0.3048
-HOG_TO_HOG, HOG_TO_TEE = 21.945, 28.346
+G = 9.81
+FOOT = 0.3048
+HOG_TO_HOG = 21.945
+HOG_TO_TEE = 28.346
 SIGMA = np.array([0.1, 0.05, 0.05])
 
 
@@ -20,21 +22,22 @@ def measured(file):
     """Time between the hog lines (s), resting position from the near one
     and curl (m)."""
     with open(file) as lines:
-        found = {
+        entries = {
             key.strip(): text.split()
             for key, _, text in (line.partition("=") for line in lines)
         }
-    size, unit, side = found["curl"]
+    size, unit, side = entries["curl"]
     curl = float(size) * (FOOT if unit == "ft" else 1.0) * (-1 if side == "left" else 1)
     return np.array(
-        [float(found["hog_to_hog"][0]), HOG_TO_TEE + float(found["rest"][0]), curl]
+        [float(entries["hog_to_hog"][0]), HOG_TO_TEE + float(entries["rest"][0]), curl]
     )
 
 
 def model(p):
     """The same three from mu, heading and speed."""
     mu, heading, v = p
-    a, c = mu * G, np.cos(heading)
+    a = mu * G
+    c = np.cos(heading)
     length = v**2 / (2 * a)
     time = (v - np.sqrt(np.maximum(v**2 - 2 * a * HOG_TO_HOG / c, 0))) / a
     return np.array([time, length * c, length * np.sin(heading)])
@@ -43,16 +46,16 @@ def model(p):
 def main(file, picture=None):
     """Fit a file, print mu, heading and speed with their errors."""
     data = measured(file)
-    found = least_squares(
+    fit = least_squares(
         lambda p: (model(p) - data) / SIGMA,
         [0.01, 0.0, 2.4],
         x_scale=[0.01, 0.1, 1.0],
         xtol=1e-12,
     )
-    errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
     if picture is not None:
-        draw(found.x, data, picture)
-    return found.x, errors
+        draw(fit.x, data, picture)
+    return fit.x, errors
 
 
 def draw(p, data, picture):

@@ -46,12 +46,12 @@ def processes(
     """Median wall time of whole processes, s, taken in turns."""
     taken: list[list[float]] = [[] for _ in commands]
     for _ in range(times):
-        for place, command in enumerate(commands):
+        for index, command in enumerate(commands):
             begin = time.perf_counter()
             subprocess.run(
                 command, capture_output=True, check=False, env=os.environ | (env or {})
             )
-            taken[place].append(time.perf_counter() - begin)
+            taken[index].append(time.perf_counter() - begin)
     return [statistics.median(series) for series in taken]
 
 
@@ -87,12 +87,13 @@ def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
     import jax
 
     jax.block_until_ready(function())
-    found, end = [], time.perf_counter() + seconds
-    while not found or time.perf_counter() < end:
+    times = []
+    end = time.perf_counter() + seconds
+    while not times or time.perf_counter() < end:
         begin = time.perf_counter()
         jax.block_until_ready(function())
-        found.append(time.perf_counter() - begin)
-    return min(found)
+        times.append(time.perf_counter() - begin)
+    return min(times)
 
 
 def answering() -> None:
@@ -101,17 +102,17 @@ def answering() -> None:
     with tempfile.TemporaryDirectory() as folder:
         fit = [*CURLFIT, "fit", str(DATA), "--no-sample", "--out", f"{folder}/fit"]
         bare = [*fit, "--no-figures"]
-        whole = [*CURLFIT, "fit", str(DATA), "--out", f"{folder}/whole"]
+        with_posterior = [*CURLFIT, "fit", str(DATA), "--out", f"{folder}/whole"]
         (first,) = processes(bare, times=1, env={"CURLFIT_CACHE": f"{folder}/cache"})
-        (first_whole,) = processes(
-            whole, times=1, env={"CURLFIT_CACHE": f"{folder}/other"}
+        (first_with_posterior,) = processes(
+            with_posterior, times=1, env={"CURLFIT_CACHE": f"{folder}/other"}
         )
-        processes(whole, times=1)
+        processes(with_posterior, times=1)
         report = [*CURLFIT, "report", f"{folder}/whole"]
         commands = {
             "fit, no figures": bare,
             "fit with fit.png": fit,
-            "fit, posterior and two figures": whole,
+            "fit, posterior and two figures": with_posterior,
             "report of that": report,
             "--help": [*CURLFIT, "--help"],
             "refusal of a bad file": [*CURLFIT, "fit", str(HERE / "run.py")],
@@ -123,8 +124,8 @@ def answering() -> None:
     row("first run on a machine, no figures", f"{first:.2f} s", first / script)
     row(
         "first run, posterior and two figures",
-        f"{first_whole:.2f} s",
-        first_whole / script,
+        f"{first_with_posterior:.2f} s",
+        first_with_posterior / script,
     )
 
 
@@ -146,9 +147,9 @@ def verbs() -> None:
         (script,) = processes(peer)
         row("scipy script", f"{script:.2f} s", 1.0)
         for number, (name, words) in enumerate(commands.items()):
-            own = {"CURLFIT_CACHE": f"{folder}/cache-{number}"}
+            environment = {"CURLFIT_CACHE": f"{folder}/cache-{number}"}
             command = [*CURLFIT, *words, "--out", f"{folder}/result-{number}"]
-            runs = [measured(command, own) for _ in range(4)]
+            runs = [measured(command, environment) for _ in range(4)]
             seconds, _, memory = runs[0]
             row(f"{name}, first", f"{seconds:.1f} s, {memory:.0f} MB", seconds / script)
             seconds, _, memory = map(statistics.median, zip(*runs[1:], strict=True))
@@ -189,7 +190,8 @@ def forward() -> None:
     t = np.linspace(0, 20, 201)
     random = np.random.default_rng(0)
     lanes = 256
-    v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
+    v = random.uniform(2.05, 2.2, lanes)
+    omega = random.uniform(0.5, 3, lanes)
     p = np.array([4e-4, 0.0556, 0.0088, 0.0088, 0, 0, 0, 2.1, 0, 1.0])
     begin = time.perf_counter()
     for _ in range(5):
@@ -200,7 +202,8 @@ def forward() -> None:
         *((name, "uniform") for name in LAWS),
         ("front-back", "consistent"),
     ):
-        law, stone = LAWS[name](), Stone(R=0.054)
+        law = LAWS[name]()
+        stone = Stone(R=0.054)
 
         def places(
             v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load
@@ -230,11 +233,9 @@ def devices() -> None:
 
     from curlfit import LAWS, InitialState, Stone, simulate
 
-    t, random, law = (
-        np.linspace(0, 20, 201),
-        np.random.default_rng(0),
-        LAWS["front-back"](),
-    )
+    t = np.linspace(0, 20, 201)
+    random = np.random.default_rng(0)
+    law = LAWS["front-back"]()
 
     def places(v: Any, omega: Any) -> Any:
         path = simulate(law, Stone(R=0.054), InitialState(v=v, omega=omega), t)
@@ -242,7 +243,8 @@ def devices() -> None:
 
     function = jax.jit(jax.vmap(places))
     for lanes in (256, 4096, 65536):
-        v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
+        v = random.uniform(2.05, 2.2, lanes)
+        omega = random.uniform(0.5, 3, lanes)
         first = 0.0
         for device in dict.fromkeys((jax.devices("cpu")[0], jax.devices()[0])):
             with jax.default_device(device):
@@ -264,12 +266,14 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
     from curlfit import LAWS, Stone
     from curlfit.dynamics.contact import accelerations
 
-    law, stone = LAWS["front-back"](), Stone(R=0.054)
+    law = LAWS["front-back"]()
+    stone = Stone(R=0.054)
 
     def rates(_: Any, state: Any, __: Any) -> Any:
         v, heading, phi, omega = state[2:]
         a = accelerations(law, stone, "uniform", v, omega, phi)
-        east, north = v * jnp.sin(heading), v * jnp.cos(heading)
+        east = v * jnp.sin(heading)
+        north = v * jnp.cos(heading)
         return jnp.stack([east, north, a.eta, a.xi / v, omega, a.angular])
 
     def path(v: Any, omega: Any) -> Any:
@@ -319,16 +323,18 @@ def batch() -> None:
     row("fit_throws, one process", f"{ours:.0f} fits/s", ours / script)
     with tempfile.TemporaryDirectory() as folder:
         texts = list(map(write_table, throws))
-        for place in range(_SEASON):
-            (Path(folder) / f"{place:04}.csv").write_text(texts[place % len(texts)])
+        for number in range(_SEASON):
+            (Path(folder) / f"{number:04}.csv").write_text(texts[number % len(texts)])
         files = sorted(Path(folder).glob("*.csv"))[: _SEASON // 4]
         options = ["--again", "--out", f"{folder}.out"]
         few = [*CURLFIT, "batch", *map(str, files), *options]
         processes(few, times=1)
-        part, whole = processes(few, [*CURLFIT, "batch", folder, *options], times=3)
-        for made in (f"{folder}.out", f"{folder}.settings.json"):
-            Path(made).unlink()
-    ours = (_SEASON - len(files)) / (whole - part)
+        quarter_time, season_time = processes(
+            few, [*CURLFIT, "batch", folder, *options], times=3
+        )
+        for output in (f"{folder}.out", f"{folder}.settings.json"):
+            Path(output).unlink()
+    ours = (_SEASON - len(files)) / (season_time - quarter_time)
     row("curlfit batch, files to table, all cores", f"{ours:.0f} fits/s", ours / script)
 
 
@@ -407,7 +413,8 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     ready = Request.of(throw, Modelling.of(throw.settings, law=law))
     parameters = ready.parameters
     problem = build_problem(ready.throw, ready.stone, result.sigma)
-    walkers, steps = 64, 8000
+    walkers = 64
+    steps = 8000
     random = np.random.default_rng(0)
     # It begins among our draws, so that no time is lost on finding them.
     first = random.permutation(chain.flat)[:walkers]
@@ -461,14 +468,14 @@ def _nuts(law: Any, problem: Any, parameters: Any, centre: Any) -> float:
 
     def model() -> None:
         parts = []
-        for place, inside in enumerate(bounded):
-            whole = dist.constraints.real
+        for index, inside in enumerate(bounded):
+            real_line = dist.constraints.real
             prior = (
-                dist.Uniform(low[place], high[place])
+                dist.Uniform(low[index], high[index])
                 if inside
-                else dist.ImproperUniform(whole, (), ())
+                else dist.ImproperUniform(real_line, (), ())
             )
-            parts.append(numpyro.sample(f"z{place}", prior))
+            parts.append(numpyro.sample(f"z{index}", prior))
         values = centre + scale * jax.numpy.stack(parts)
         numpyro.factor("path", log_likelihood(Model(law, "uniform"), values, problem))
 
@@ -487,9 +494,9 @@ def _nuts(law: Any, problem: Any, parameters: Any, centre: Any) -> float:
     run.run(jax.random.PRNGKey(1))
     jax.block_until_ready(run.get_samples())
     taken = time.perf_counter() - begin
-    found = run.get_samples(group_by_chain=True).values()
+    samples = run.get_samples(group_by_chain=True).values()
     return (
-        min(float(effective_sample_size(np.asarray(series))) for series in found)
+        min(float(effective_sample_size(np.asarray(series))) for series in samples)
         / taken
     )
 
@@ -505,13 +512,13 @@ def roof() -> None:
     from curlfit.dynamics.contact import accelerations
     from curlfit.numerics.ring_nodes import node_clustering
 
-    t, lanes = (
-        np.linspace(0, 20, 201),
-        1024 if jax.default_backend() == "cpu" else 65536,
-    )
+    t = np.linspace(0, 20, 201)
+    lanes = 1024 if jax.default_backend() == "cpu" else 65536
     random = np.random.default_rng(0)
-    v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
-    law, stone = LAWS["front-back"](), Stone(R=0.054)
+    v = random.uniform(2.05, 2.2, lanes)
+    omega = random.uniform(0.5, 3, lanes)
+    law = LAWS["front-back"]()
+    stone = Stone(R=0.054)
 
     calls: list[int] = []
     rates = integrator.rates
@@ -556,7 +563,8 @@ def roof() -> None:
     twice = jax.jit(lambda a: a + 1.0)
     memory = 2 * long.nbytes / best(lambda: twice(long))
     row("paths a second", f"{1 / taken:.3g}", "")
-    done, moved = flops / taken, least / taken
+    done = flops / taken
+    moved = least / taken
     row("arithmetic, over a matrix product's", f"{done:.3g} flop/s", done / arithmetic)
     row("memory, over a copy's", f"{moved:.3g} B/s", moved / memory)
 
@@ -587,8 +595,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    each = "; ".join(f"{name}: {about(name)}" for name in ALL)
-    parser.add_argument("benchmark", nargs="*", help=f"{each} All, if none is named.")
+    descriptions = "; ".join(f"{name}: {about(name)}" for name in ALL)
+    parser.add_argument(
+        "benchmark", nargs="*", help=f"{descriptions} All, if none is named."
+    )
     asked = parser.parse_args().benchmark
     unknown = set(asked) - set(ALL)
     if unknown:

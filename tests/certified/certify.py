@@ -36,7 +36,8 @@ def gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
     k = np.arange(1, n + 1, dtype=np.longdouble)
     x = np.cos(PI * (k - 0.25) / (n + 0.5))
     for _ in range(6):
-        below, value = np.ones_like(x), x
+        below = np.ones_like(x)
+        value = x
         for m in range(2, n + 1):
             below, value = value, ((2 * m - 1) * x * value - (m - 1) * below) / m
         slope = n * (x * value - below) / (x**2 - 1)
@@ -65,7 +66,8 @@ def panels(swing: float) -> tuple[np.ndarray, np.ndarray]:
 
 def cubic(_: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights for b in (0, pi/2), b = pi/2 s^3."""
-    s, w = (CUBIC[0] + 1) / 2, CUBIC[1] / 2
+    s = (CUBIC[0] + 1) / 2
+    w = CUBIC[1] / 2
     return PI / 2 * s**3, w * 3 * PI / 2 * s**2
 
 
@@ -105,12 +107,15 @@ def force(
     """
     side = 1 if u[0].real >= 0 else -1
     au = side * u
-    slow, fast = v - au, v + au
+    slow = v - au
+    fast = v + au
     b, w = ring(float(abs(slow[0].real) / fast[0].real))
     b, w = b.astype(v.real.dtype)[:, None], (w / PI).astype(v.real.dtype)
-    sin2, cos2 = np.sin(b) ** 2, np.cos(b) ** 2
+    sin2 = np.sin(b) ** 2
+    cos2 = np.cos(b) ** 2
     speed = np.sqrt(slow**2 * cos2 + fast**2 * sin2)
-    xi, eta = side * (sin2 - cos2), np.sin(2 * b)
+    xi = side * (sin2 - cos2)
+    eta = np.sin(2 * b)
     e = -u * eta / speed, (slow * cos2 + fast * sin2) / speed
     c = c[:, None]
 
@@ -128,16 +133,17 @@ def force(
     even = net(lambda xi, eta: 1)
     if lift is None:
         return even
-    by_p, by_q = net(lambda xi, eta: xi), net(lambda xi, eta: eta)
+    by_p = net(lambda xi, eta: xi)
+    by_q = net(lambda xi, eta: eta)
     # (1 + lift by_p) p + lift by_q q = -lift even, and so on
-    a, b_, c_, d = (
-        1 + lift * by_p[0],
-        lift * by_q[0],
-        lift * by_p[1],
-        1 + lift * by_q[1],
-    )
-    f, g = -lift * even[0], -lift * even[1]
-    p, q = (d * f - b_ * g) / (a * d - b_ * c_), (a * g - c_ * f) / (a * d - b_ * c_)
+    a = 1 + lift * by_p[0]
+    b_ = lift * by_q[0]
+    c_ = lift * by_p[1]
+    d = 1 + lift * by_q[1]
+    f = -lift * even[0]
+    g = -lift * even[1]
+    p = (d * f - b_ * g) / (a * d - b_ * c_)
+    q = (a * g - c_ * f) / (a * d - b_ * c_)
     return even + p * by_p + q * by_q
 
 
@@ -176,18 +182,18 @@ class Case:
         values = dict(
             zip(self.names, [*self.coefficients.values(), *self.start], strict=True)
         )
-        for one, other in self.sums:
-            values[one], values[other] = values[one] + values[other], 0.0
+        for first, second in self.sums:
+            values[first], values[second] = values[first] + values[second], 0.0
         return list(values.values())
 
     @property
     def free(self) -> list[int]:
-        held = {*self.fix, *(other for _, other in self.sums)}
-        return [place for place, name in enumerate(self.names) if name not in held]
+        held = {*self.fix, *(second for _, second in self.sums)}
+        return [index for index, name in enumerate(self.names) if name not in held]
 
     def label(self, place: int) -> str:
         """Name of a fitted quantity."""
-        pairs = {one: f"{one} + {other}" for one, other in self.sums}
+        pairs = {first: f"{first} + {second}" for first, second in self.sums}
         return pairs.get(self.names[place], self.names[place])
 
 
@@ -202,7 +208,8 @@ def rates(case: Case, p: np.ndarray, y: np.ndarray, ring: Ring) -> np.ndarray:
         a, c, p_, q, r = p[:5]
         sense = 1 if omega[0].real > 0 else -1
         log = np.log(v)
-        a_xi, a_eta = -a * sense, -c * np.exp(p_ * log)
+        a_xi = -a * sense
+        a_eta = -c * np.exp(p_ * log)
         angular = -q * np.exp(r * log) * sense
     else:
         R, rho, h = (np.longdouble(str(case.stone[name])) for name in ("R", "rho", "h"))
@@ -210,7 +217,9 @@ def rates(case: Case, p: np.ndarray, y: np.ndarray, ring: Ring) -> np.ndarray:
         g = GRAVITY.astype(v.real.dtype)
         lift = 2 * h / R if case.load == "consistent" else None
         t = force(TRACTIONS[case.law], p[:-6], v, R * omega, lift, ring)
-        a_xi, a_eta, angular = g * t[0], g * t[1], g * R * t[2] / rho**2
+        a_xi = g * t[0]
+        a_eta = g * t[1]
+        angular = g * R * t[2] / rho**2
     return np.stack(
         [a_eta, a_xi / v, angular, v * np.sin(beta), v * np.cos(beta), omega]
     )
@@ -224,7 +233,8 @@ def begin(p: np.ndarray) -> np.ndarray:
 def time_to_rest(case: Case, y: np.ndarray, f: np.ndarray) -> np.ndarray:
     """From the loss of energy at the present rate, s, by lanes."""
     inertia = 0.0 if case.law == "semi-empirical" else case.stone["rho"] ** 2
-    v, omega = y[V], y[OMEGA]
+    v = y[V]
+    omega = y[OMEGA]
     return -(v**2 + inertia * omega**2) / (v * f[V] + inertia * omega * f[OMEGA])
 
 
@@ -266,7 +276,8 @@ def extrapolated(
         table: list[np.ndarray] = []
         for row, n in enumerate(rungs):
             h = length / n
-            before, now = y, y + h * first
+            before = y
+            now = y + h * first
             for _ in range(n - 1):
                 before, now = now, before + 2 * h * f(now)
             new = [(now + before + h * f(now)) / 2]
@@ -276,8 +287,10 @@ def extrapolated(
             table = new
         return table[-1]
 
-    y, t = begin(p), np.longdouble(0)
-    found, rest = [], np.zeros_like(p[0])
+    y = begin(p)
+    t = np.longdouble(0)
+    path = []
+    rest = np.zeros_like(p[0])
     resting = False
     for time in times:
         while t < time and not resting:
@@ -285,7 +298,8 @@ def extrapolated(
             left = time_to_rest(case, y, slope)
             to_rest = left[0].real
             if to_rest < least:
-                resting, rest = True, t + left
+                resting = True
+                rest = t + left
                 break
             length = min(time - t, share * to_rest)
             if case.law != "semi-empirical":
@@ -298,8 +312,8 @@ def extrapolated(
             t += length
             if time - t < 1e-17:
                 t = time
-        found.append(y[[X, Y, PHI]])
-    return np.stack(found, 1), rest
+        path.append(y[[X, Y, PHI]])
+    return np.stack(path, 1), rest
 
 
 def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -311,8 +325,10 @@ def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
     def f(_: float, flat: np.ndarray) -> np.ndarray:
         return rates(case, p, flat.reshape(6, lanes), cubic).ravel()
 
-    y, t = begin(p), 0.0
-    found, first = [], 0.05
+    y = begin(p)
+    t = 0.0
+    path = []
+    first = 0.05
     resting = False
     for time in times.astype(float):
         if time > t and not resting:
@@ -336,8 +352,8 @@ def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
                     break
                 first = run.h_abs
             t = time
-        found.append(y[[X, Y, PHI]])
-    return np.stack(found, 1)
+        path.append(y[[X, Y, PHI]])
+    return np.stack(path, 1)
 
 
 Method = Callable[[Case, np.ndarray, np.ndarray], np.ndarray]
@@ -353,7 +369,8 @@ def solve(
     no rounding.
     """
     free = case.free
-    times, observed = data[0], data[1:]
+    times = data[0]
+    observed = data[1:]
     sigma = np.array([case.sigma[name] for name in CHANNELS])[:, None]
     lanes = 1 + len(free)
     values = values.astype(precise(0).real.dtype)
@@ -422,7 +439,7 @@ def certify(name: str, case: Case) -> dict:
     def shown(value: np.floating | float) -> float:
         return float(np.format_float_scientific(value, 14))
 
-    fixed = {one: case.coefficients[one] for one in case.fix}
+    fixed = {coefficient: case.coefficients[coefficient] for coefficient in case.fix}
     return {
         "file": "../../data/" + case.file.name if case.file else f"{name}.csv",
         "law": case.law,
@@ -491,11 +508,12 @@ def check_forces() -> float:
     elliptic integrals."""
     worst = 0.0
     for e in (0.03, 0.5, 0.98, 0.999999, 1.000001, 1.3, 40.0):
-        K, E = ellipkm1(((1 - e) / (1 + e)) ** 2), ellipe(4 * e / (1 + e) ** 2)
+        K = ellipkm1(((1 - e) / (1 + e)) ** 2)
+        E = ellipe(4 * e / (1 + e) ** 2)
         forward = -((1 - e) * K + (1 + e) * E) / np.pi
         turning = -((1 + e) * E - (1 - e) * K) / (np.pi * e)
-        one = np.ones(1, np.clongdouble)
-        t = force(coulomb, one[None], one, one * e, None, panels)[:, 0].real
+        unit = np.ones(1, np.clongdouble)
+        t = force(coulomb, unit[None], unit, unit * e, None, panels)[:, 0].real
         worst = max(worst, abs(float(t[1]) - forward), abs(float(t[2]) - turning))
     return worst
 
@@ -630,16 +648,16 @@ def main() -> None:
             f"unknown case {', '.join(sorted(unknown))}; expected {', '.join(CASES)}"
         )
     target = HERE / "certified.json"
-    found = json.loads(target.read_text())["cases"] if target.exists() else {}
+    certified = json.loads(target.read_text())["cases"] if target.exists() else {}
     gap = check_forces()
     print(f"ring sums against elliptic integrals: {gap:.1g}")
     for name in asked.case or CASES:
         case = CASES[name]
         if asked.data and not case.file:
             write(name, case)
-        found[name] = certify(name, case)
-        print(name, json.dumps(found[name]["digits"]), flush=True)
-        ordered = {key: found[key] for key in CASES if key in found}
+        certified[name] = certify(name, case)
+        print(name, json.dumps(certified[name]["digits"]), flush=True)
+        ordered = {key: certified[key] for key in CASES if key in certified}
         target.write_text(
             json.dumps({"force_error": gap, "cases": ordered}, indent=1) + "\n"
         )

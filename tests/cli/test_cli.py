@@ -49,9 +49,9 @@ def test_the_main_command_reports_and_writes_what_it_must(done):
     for name in ("mu1_eta", "mu2_eta"):
         assert record["parameters"][name]["verdict"] == "not identifiable"
         assert record["parameters"][name]["stderr"] is None
-    (one,) = record["combinations"]
-    assert one["expression"] == "mu1_eta + mu2_eta"
-    assert abs(one["value"] - 0.0173) < 0.0004
+    (combination,) = record["combinations"]
+    assert combination["expression"] == "mu1_eta + mu2_eta"
+    assert abs(combination["value"] - 0.0173) < 0.0004
     posterior = record["posterior"]
     assert posterior["correlation"]["mu1_eta"]["mu2_eta"] < -0.99
     assert set(posterior["quantiles"]["mu1_xi"]) == {"2.5", "16", "50", "84", "97.5"}
@@ -75,7 +75,7 @@ def test_saved_results_are_shown_and_drawn_again(done):
 
 
 def test_a_simulated_throw_comes_back(tmp_path):
-    made = curlfit(
+    simulation = curlfit(
         "simulate",
         "--law",
         "front-back",
@@ -103,7 +103,7 @@ def test_a_simulated_throw_comes_back(tmp_path):
         "a.csv",
         cwd=tmp_path,
     )
-    assert made.returncode == 0, made.stderr
+    assert simulation.returncode == 0, simulation.stderr
     throw = load_throw(tmp_path / "a.csv")
     assert len(throw) == 221
     assert throw.reference.values["mu2_xi"] == 0.06
@@ -115,15 +115,15 @@ def test_a_simulated_throw_comes_back(tmp_path):
     assert result.stone.R == 0.06
     true = {"mu1_xi": 0.005, "mu2_xi": 0.06, "v0": 2.1, "omega0": -1.3, "heading": 0.03}
     for name, value in true.items():
-        item = result.parameters[name]
-        assert abs(item.value - value) < 4 * item.stderr, name
-    (one,) = result.combinations
-    assert abs(one.value - 0.020) < 4 * one.stderr
+        estimate = result.parameters[name]
+        assert abs(estimate.value - value) < 4 * estimate.stderr, name
+    (combination,) = result.combinations
+    assert abs(combination.value - 0.020) < 4 * combination.stderr
     assert [file.name for file in (tmp_path / "a-fit").iterdir()] == ["fit.json"]
 
 
 def test_help_and_refusals_load_no_jax(tmp_path):
-    each = (
+    commands = (
         ["--help"],
         ["fit", "--help"],
         ["check", "--help"],
@@ -137,7 +137,7 @@ def test_help_and_refusals_load_no_jax(tmp_path):
     code = (
         "import sys\n"
         "from curlfit.cli import main\n"
-        f"for words in {each!r}:\n"
+        f"for words in {commands!r}:\n"
         "    sys.argv[1:] = words\n"
         "    try:\n        main()\n    except SystemExit:\n        pass\n"
         "    assert 'jax' not in sys.modules and 'matplotlib' not in "
@@ -205,8 +205,10 @@ def test_how_to_read_may_stand_in_the_configuration(tmp_path):
 
 
 def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
-    made = curlfit("simulate", "--noise-xy", 0.005, "--out", "a.csv", cwd=tmp_path)
-    assert made.returncode == 0
+    simulation = curlfit(
+        "simulate", "--noise-xy", 0.005, "--out", "a.csv", cwd=tmp_path
+    )
+    assert simulation.returncode == 0
     (tmp_path / "a.csv").write_text("# seed = 5\n" + (tmp_path / "a.csv").read_text())
     (tmp_path / "c.toml").write_text("seed = 6\n")
     words = ("fit", "a.csv", "--effective", 100, "--no-figures")
@@ -227,6 +229,6 @@ def test_laws(tmp_path):
         for words in (
             law.name,
             law.source,
-            *(item.meaning for item in law.coefficients()),
+            *(coefficient.meaning for coefficient in law.coefficients()),
         ):
             assert words in text

@@ -71,9 +71,9 @@ def test_other_words_stay(words):
     ],
 )
 def test_a_value_with_a_minus_is_read_as_after_an_equals_sign(words, tmp_path):
-    *others, option, value = words
+    *arguments, option, value = words
     typed = command(*words, cwd=tmp_path)
-    assert typed == command(*others, f"{option}={value}", cwd=tmp_path)
+    assert typed == command(*arguments, f"{option}={value}", cwd=tmp_path)
     assert typed.returncode == 2
     assert "requires an argument" not in typed.stderr
 

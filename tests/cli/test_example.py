@@ -13,17 +13,17 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_data_and_notebooks_are_copied(tmp_path):
-    found = invoke(["example", tmp_path / "mine"])
-    assert found.exit_code == 0, found.stdout
+    run = invoke(["example", tmp_path / "mine"])
+    assert run.exit_code == 0, run.stdout
     for part, pattern in (("data", "*"), ("notebooks", "*.ipynb")):
         originals = sorted((ROOT / part).glob(pattern))
         copies = sorted((tmp_path / "mine" / part).iterdir())
-        assert [one.name for one in copies] == [one.name for one in originals]
+        assert [file.name for file in copies] == [file.name for file in originals]
         assert all(
             a.read_bytes() == b.read_bytes()
             for a, b in zip(copies, originals, strict=True)
         )
-    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.stdout.replace(
+    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in run.stdout.replace(
         "\n", ""
     )
 
@@ -31,8 +31,8 @@ def test_data_and_notebooks_are_copied(tmp_path):
 def test_what_is_there_is_left(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "evening.csv").write_text("my own\n")
-    found = invoke(["example", tmp_path])
-    assert "Left as it is:" in found.stdout
+    run = invoke(["example", tmp_path])
+    assert "Left as it is:" in run.stdout
     assert (tmp_path / "data" / "evening.csv").read_text() == "my own\n"
     assert (tmp_path / "data" / "tracker.txt").exists()
 

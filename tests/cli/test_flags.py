@@ -65,7 +65,7 @@ def holds(fit, **true):
 
 def test_a_fit_says_what_was_chosen(typed, folder):
     out = typed("fit", "a.csv", *CHOSEN, *SYSTEMATIC, *QUICK)
-    said = " ".join(out[: out.index("Written:")].split())
+    report = " ".join(out[: out.index("Written:")].split())
     fit = load_fit(folder / "a-fit")
     assert set(fit.conditions) == {"slope_x", "sweep"}
     holds(fit, slope_x=2e-4, mu=0.009, sweep=0.8)
@@ -79,8 +79,8 @@ def test_a_fit_says_what_was_chosen(typed, folder):
         "The path and the priors determine 9 of 9 parameters",
         f"slopes down along the throw by 1 mm/m, the true mu is {shift:.2g} higher",
     ):
-        assert words in said
-    assert " ".join(typed("show", "a-fit").split()) == said
+        assert words in report
+    assert " ".join(typed("show", "a-fit").split()) == report
     record = json.loads(typed("show", "a-fit", "--json"))
     assert record["systematics"]["widths"] == {"slope_y": 1e-3}
     assert record["parameters"]["mu"]["prior"] == "0.01+-0.001"
@@ -96,9 +96,9 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     )
     assert config == flags
     typed("fit", "own.csv", *COULOMB, *ASSUMED, *SYSTEMATIC, *QUICK)
-    own = load_fit(folder / "own-fit")
-    assert own.data.rows == KEPT
-    np.testing.assert_array_equal(own.values, load_fit(folder / "flags").values)
+    from_file = load_fit(folder / "own-fit")
+    assert from_file.data.rows == KEPT
+    np.testing.assert_array_equal(from_file.values, load_fit(folder / "flags").values)
     # a flag is over the file, table by table
     typed(
         "fit",
@@ -124,28 +124,33 @@ def test_profile_and_compare_have_the_flags(typed, folder, alone):
     out = typed(
         "profile", "a.csv", "--param", "slope_x", *CHOSEN, "--points", 9, "--no-figures"
     )
-    found = load_profile(folder / "a-profile-slope_x")
-    assert found.verdict == "limited"
-    near = found.intervals[0]
+    profile = load_profile(folder / "a-profile-slope_x")
+    assert profile.verdict == "limited"
+    near = profile.intervals[0]
     assert (near.high - near.low) / 2 == pytest.approx(
         alone["slope_x"].stderr, rel=0.05
     )
-    assert found.data.rows == KEPT
-    said = " ".join(out[: out.index("Written:")].split())
-    assert " ".join(typed("show", "a-profile-slope_x").split()) == said
+    assert profile.data.rows == KEPT
+    report = " ".join(out[: out.index("Written:")].split())
+    assert " ".join(typed("show", "a-profile-slope_x").split()) == report
 
     typed("compare", "a.csv", "--laws", "coulomb", *CHOSEN[2:], "--no-figures")
     comparison = load_comparison(folder / "a-compare")
-    (one,) = comparison.candidates
+    (candidate,) = comparison.candidates
     assert comparison.data.rows == KEPT
-    assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
+    assert candidate.coefficients["mu"]["value"] == pytest.approx(
+        alone["mu"].value, rel=1e-6
+    )
 
 
 def test_the_conditions_are_listed_with_their_widths(typed):
     out = " ".join(typed("laws", "--conditions").split())
-    for item in CONDITIONS:
-        assert f"{item.name} {item.meaning}; standard uncertainty {item.width:g}" in out
-        assert item.basis in out
+    for condition in CONDITIONS:
+        assert (
+            f"{condition.name} {condition.meaning}; "
+            f"standard uncertainty {condition.width:g}" in out
+        )
+        assert condition.basis in out
 
 
 @pytest.mark.parametrize("kind", [Comparing, Fitting, Reading])

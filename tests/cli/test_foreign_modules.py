@@ -154,24 +154,24 @@ def test_a_law_imports_what_is_installed_or_named_and_says_so(tmp_path):
 def starts(tree):
     """The names in a module that start a process, those of its strings and of what it
     only mentions in annotations apart."""
-    found = set()
+    names = set()
     for node in ast.walk(tree):
         name = getattr(node, "attr", getattr(node, "id", ""))
         if name in STARTS or name == "subprocess":
-            found.add(name)
+            names.add(name)
         elif isinstance(node, ast.Attribute) and ast.unparse(node).startswith(OF_SHELL):
-            found.add(ast.unparse(node))
+            names.add(ast.unparse(node))
         elif isinstance(node, ast.Import | ast.ImportFrom):
-            found |= {alias.name for alias in node.names} & STARTS
-    return found
+            names |= {alias.name for alias in node.names} & STARTS
+    return names
 
 
 def test_every_start_of_a_process_is_known():
-    found = {}
+    starts_by_file = {}
     for file in sorted(SOURCES.rglob("*.py")):
         if names := starts(ast.parse(file.read_text())):
-            found[str(file.relative_to(SOURCES))] = names
-    assert found == {
+            starts_by_file[str(file.relative_to(SOURCES))] = names
+    assert starts_by_file == {
         # the browser: it is no Python
         "app/server.py": {"webbrowser"},
         "cli/saved.py": {"webbrowser"},

@@ -19,15 +19,17 @@ from curlfit.settings.choices import Reading
 
 @pytest.mark.parametrize("symbol", [r"\mu_1", r"\input{/etc/passwd}$%"])
 def test_foreign_text_in_figures_and_latex(symbol, eq12_fit, tmp_path, recwarn):
-    own = replace(eq12_fit.parameters["mu1_xi"], symbol=symbol, unit=r"s}\input{x}/m^$")
+    parameter = replace(
+        eq12_fit.parameters["mu1_xi"], symbol=symbol, unit=r"s}\input{x}/m^$"
+    )
     fit = replace(
         eq12_fit,
-        parameters={**eq12_fit.parameters, "mu1_xi": own},
+        parameters={**eq12_fit.parameters, "mu1_xi": parameter},
         data=replace(eq12_fit.data, file="in/a$b_{\x1b日本.csv"),
         law="$x^{",
     )
     curlfit.fit_figure(fit).savefig(tmp_path / "fit.png")
-    assert [str(one.message) for one in recwarn] == []
+    assert [str(warning.message) for warning in recwarn] == []
     with_law = replace(fit, law=eq12_fit.law)
     table = estimates_table(with_law)
     assert r"\input" not in table
@@ -76,6 +78,6 @@ def test_folders_of_results_have_safe_names(name, folder):
 
 
 def test_folders_of_long_names_are_told_apart():
-    one, other = (folder_name("é" * 120 + end + ".csv") for end in ("a", "b"))
-    assert one != other
-    assert max(len(text.encode()) for text in (one, other)) < 200
+    first, second = (folder_name("é" * 120 + end + ".csv") for end in ("a", "b"))
+    assert first != second
+    assert max(len(text.encode()) for text in (first, second)) < 200

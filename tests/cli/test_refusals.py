@@ -83,10 +83,10 @@ ROWS = "t,x,y\n0,0,0\n"
 )
 def test_data_beyond_any_throw_are_refused(text, said, tmp_path):
     (tmp_path / "a.csv").write_text(text)
-    found = sentence(command("check", "a.csv", cwd=tmp_path))
-    assert found.startswith("curlfit: a.csv")
-    assert said in found
-    assert "x" * 100 not in found
+    message = sentence(command("check", "a.csv", cwd=tmp_path))
+    assert message.startswith("curlfit: a.csv")
+    assert said in message
+    assert "x" * 100 not in message
 
 
 WHOLE = "expected a whole number from 0 to 4294967295"
@@ -124,9 +124,9 @@ WHOLE = "expected a whole number from 0 to 4294967295"
 )
 def test_settings_of_wrong_types_are_refused(text, said, tmp_path):
     (tmp_path / "c.toml").write_text(text)
-    found = sentence(command("check", DATA, "--config", "c.toml", cwd=tmp_path))
-    assert found.startswith("curlfit: c.toml")
-    assert said in found
+    message = sentence(command("check", DATA, "--config", "c.toml", cwd=tmp_path))
+    assert message.startswith("curlfit: c.toml")
+    assert said in message
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_refused_fit_leaves_earlier_results_alone(folder, tmp_path):
     before = (folder / "a-fit" / "fit.json").read_bytes()
     (tmp_path / "bad.csv").write_text(DATA.read_text().replace("0.205793511", "hello"))
     run = command("fit", tmp_path / "bad.csv", "--out", "a-fit", cwd=folder)
-    said = f"curlfit: {tmp_path / 'bad.csv'}, line 17, column y: 'hello' found"
-    assert (run.returncode, run.stderr[: len(said)]) == (2, said)
+    message = f"curlfit: {tmp_path / 'bad.csv'}, line 17, column y: 'hello' found"
+    assert (run.returncode, run.stderr[: len(message)]) == (2, message)
     assert [file.name for file in (folder / "a-fit").iterdir()] == ["fit.json"]
     assert (folder / "a-fit" / "fit.json").read_bytes() == before

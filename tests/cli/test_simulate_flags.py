@@ -18,7 +18,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulate")
     law = curlfit.law_with("coulomb", {"mu": 0.0085})
     stone = curlfit.Stone(R=0.06, m=19.0)
-    made = curlfit.synthetic_throw(
+    synthetic = curlfit.synthetic_throw(
         law,
         stone,
         v0=2.1,
@@ -30,9 +30,10 @@ def folder(tmp_path_factory):
         dt=1,
         environment=curlfit.environment.Environment(slope_x=1e-3),
     )
-    t, sigma = made.t, {"x": 0.001, "y": 0.001, "phi": 0.001}
+    t = synthetic.t
+    sigma = {"x": 0.001, "y": 0.001, "phi": 0.001}
     throw = curlfit.Throw.from_arrays(
-        t + 5.0, made.x, made.y, made.phi, sigma=sigma, name="a"
+        t + 5.0, synthetic.x, synthetic.y, synthetic.phi, sigma=sigma, name="a"
     )
     fit = curlfit.fit(
         throw, "coulomb", stone=stone, free=["slope_x"], systematics={"all": 0}
@@ -63,7 +64,8 @@ def test_conditions_and_a_line_by_closed_form(typed, folder):
     t, x, y, _ = rows(text)
     # uphill by 1 mm/m, with half the friction from 4 to 8 s: three
     # constant decelerations
-    slow, swept = G * 0.011, G * 0.006
+    slow = G * 0.011
+    swept = G * 0.006
     v = (
         2.4
         - slow * np.minimum(t, 4)
@@ -90,7 +92,8 @@ def test_conditions_and_a_line_by_closed_form(typed, folder):
 def test_drag_by_closed_form(typed):
     t, _, y, _ = rows(typed("simulate", *STRAIGHT, *ROWS, "--v0", 2.4, "--drag", 0.8))
     # dv/dt = -a - k v^2 is solved by a tangent
-    a, k = 0.01 * G, 0.5 * 1.27 * 0.914 / np.pi * 0.114 * 0.8 / 20
+    a = 0.01 * G
+    k = 0.5 * 1.27 * 0.914 / np.pi * 0.114 * 0.8 / 20
     phase = np.arctan(2.4 * np.sqrt(k / a))
     distance = np.log(np.cos(phase - np.sqrt(k * a) * t) / np.cos(phase)) / k
     np.testing.assert_allclose(y, distance, atol=2e-8)
@@ -100,10 +103,10 @@ def test_a_fit_is_simulated_as_it_was_fitted(typed, folder):
     fit = curlfit.load_fit(folder / "fit")
     assert fit.fitted_law == curlfit.law_with("coulomb", {"mu": fit["mu"].value})
     text = typed("simulate", "--fit", "fit", "--dt", 1)
-    t, *places = rows(text)
+    t, *channels = rows(text)
     np.testing.assert_allclose(t, fit.observed["t"] - 5.0, atol=1e-9)
     np.testing.assert_allclose(
-        places, [fit.fitted[n] for n in ("x", "y", "phi")], atol=1e-7
+        channels, [fit.fitted[n] for n in ("x", "y", "phi")], atol=1e-7
     )
     assert "# stone.R = 0.06\n" in text
     assert "# reference.values.slope_x = 0.00" in text

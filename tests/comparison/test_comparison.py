@@ -46,12 +46,12 @@ def test_on_eq_12_the_outcome_is_the_paper_s(of_eq12):
     assert not front_back.negative
     assert of_eq12.side == "left"
     for name in sorted(ISOTROPIC):
-        item = of_eq12.of(name)
-        assert item.isotropic
-        assert not item.follows
-        assert item.curl_explained < 0.7  # at most, by sutor
-        assert item.delta_bic > front_back.delta_bic + 10
-        assert item.log_likelihood < front_back.log_likelihood - 1000
+        candidate = of_eq12.of(name)
+        assert candidate.isotropic
+        assert not candidate.follows
+        assert candidate.curl_explained < 0.7  # at most, by sutor
+        assert candidate.delta_bic > front_back.delta_bic + 10
+        assert candidate.log_likelihood < front_back.log_likelihood - 1000
     assert not of_eq12.of("radial").follows
     negative = of_eq12.of("radial", signs_free=True)
     assert negative.follows
@@ -63,13 +63,17 @@ def test_on_eq_12_the_outcome_is_the_paper_s(of_eq12):
 
 
 def test_laws_that_do_not_oppose_sliding_are_not_called_isotropic(of_eq12):
-    assert {item.law for item in of_eq12.candidates if item.isotropic} == ISOTROPIC
+    assert {
+        candidate.law for candidate in of_eq12.candidates if candidate.isotropic
+    } == ISOTROPIC
 
 
 @pytest.mark.slow
 def test_where_no_law_is_named_all_are_compared_that_approximate_no_other(eq12):
-    own = {law.name for law in LAWS.values() if law.shipped() and not law.approximates}
-    assert {item.law for item in compare(eq12).candidates} == own
+    shipped = {
+        law.name for law in LAWS.values() if law.shipped() and not law.approximates
+    }
+    assert {candidate.law for candidate in compare(eq12).candidates} == shipped
 
 
 def test_sides_a_law_can_curl_to(of_eq12):
@@ -79,25 +83,27 @@ def test_sides_a_law_can_curl_to(of_eq12):
 
 
 def test_criteria_are_those_of_a_gaussian(of_eq12):
-    item = of_eq12.of("front-back")
-    result = of_eq12.fits[of_eq12.candidates.index(item)]
+    candidate = of_eq12.of("front-back")
+    result = of_eq12.fits[of_eq12.candidates.index(candidate)]
     n = result.n_observations
-    k = item.n_parameters
+    k = candidate.n_parameters
     assert k == pytest.approx(result.identifiability.rank + 3, abs=1e-3)
     # at the most likely sigma, -2 log L = n_c (log(2 pi rms^2) + 1) in each channel
     by_channel = [201 * (np.log(2 * np.pi * rms**2) + 1) for rms in result.rms.values()]
-    assert -2 * item.log_likelihood == pytest.approx(sum(by_channel), rel=1e-12)
+    assert -2 * candidate.log_likelihood == pytest.approx(sum(by_channel), rel=1e-12)
     # smooth residuals count by their effective number, less what the best fit spends on
     # it: here next to nothing is left
     assert of_eq12.effective.keys() == {"x", "y", "phi"}
     assert all(1 <= count < 6 for count in of_eq12.effective.values())
     minus_two = sum(by_channel) / 201
     effective = sum(of_eq12.effective.values())
-    assert item.bic == pytest.approx(minus_two + k * np.log(effective), rel=1e-12)
-    assert item.aicc == pytest.approx(minus_two + 2 * k * n / (n - k - 1), rel=1e-12)
+    assert candidate.bic == pytest.approx(minus_two + k * np.log(effective), rel=1e-12)
+    assert candidate.aicc == pytest.approx(
+        minus_two + 2 * k * n / (n - k - 1), rel=1e-12
+    )
     (warning,) = document(of_eq12).warnings
     assert warning.code == "ranking-not-reliable"
-    worth = {item["channel"]: item for item in warning.numbers["worth"]}
+    worth = {entry["channel"]: entry for entry in warning.numbers["worth"]}
     assert worth["x"] == {
         "channel": "x",
         "effective": of_eq12.effective["x"],
@@ -124,42 +130,42 @@ def test_correlated_noise_does_not_reject_the_true_law():
     law = LAWS["coulomb"]()
     rejected = 0
     for seed in range(5):
-        found = compare(correlated_throw(seed, law), RIVALS)
-        text = " ".join(conclusions(found))
-        assert found.of("coulomb").follows is not False
+        comparison = compare(correlated_throw(seed, law), RIVALS)
+        text = " ".join(conclusions(comparison))
+        assert comparison.of("coulomb").follows is not False
         assert "No law follows" not in text
         assert "No isotropic law" not in text
-        codes = {warning.code for warning in document(found).warnings}
+        codes = {warning.code for warning in document(comparison).warnings}
         assert "ranking-not-reliable" in codes
-        rejected += found.of("coulomb").delta_bic > 6
+        rejected += comparison.of("coulomb").delta_bic > 6
     assert rejected <= 1
 
 
 def test_correlated_noise_does_not_hide_the_true_law():
-    found = compare(correlated_throw(1, LAWS["front-back"]()), RIVALS)
-    assert found.best.law == "front-back"
-    assert found.of("coulomb").follows is False
-    assert found.of("coulomb").delta_bic > 20
+    comparison = compare(correlated_throw(1, LAWS["front-back"]()), RIVALS)
+    assert comparison.best.law == "front-back"
+    assert comparison.of("coulomb").follows is False
+    assert comparison.of("coulomb").delta_bic > 20
 
 
 def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
     free = compare(clean, ["front-back"])
     assert free.effective == {}  # independent rows count in full
-    item = free.best
+    best = free.best
     n = free.fits[0].n_observations
-    expected = item.n_parameters * np.log(n) - 2 * item.log_likelihood
-    assert item.bic == pytest.approx(expected, rel=1e-12)
+    expected = best.n_parameters * np.log(n) - 2 * best.log_likelihood
+    assert best.bic == pytest.approx(expected, rel=1e-12)
     assert not document(free).warnings
-    given = eq12.with_sigma({"x": 0.01, "y": 0.02, "phi": 0.01})
-    found = compare(given, ["front-back"])
-    item = found.best
-    result = found.fits[0]
-    assert item.n_parameters == pytest.approx(9, abs=1e-3)
+    throw = eq12.with_sigma({"x": 0.01, "y": 0.02, "phi": 0.01})
+    comparison = compare(throw, ["front-back"])
+    best = comparison.best
+    result = comparison.fits[0]
+    assert best.n_parameters == pytest.approx(9, abs=1e-3)
     expected = 0.0
     for name, sigma in (("x", 0.01), ("y", 0.02), ("phi", 0.01)):
         r = (result.observed[name] - result.fitted[name]) / sigma
         expected += -0.5 * (r**2).sum() - len(r) * np.log(sigma * np.sqrt(2 * np.pi))
-    assert item.log_likelihood == pytest.approx(expected, rel=1e-12)
+    assert best.log_likelihood == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -175,11 +181,11 @@ def test_true_law_is_found_among_all():
         noise_phi=0.01,
         seed=1,
     )
-    found = compare(throw, MANY)
-    item = found.of(law)
-    assert item.follows
-    assert item.delta_bic < 2
-    result = found.fits[found.candidates.index(item)]
+    comparison = compare(throw, MANY)
+    candidate = comparison.of(law)
+    assert candidate.follows
+    assert candidate.delta_bic < 2
+    result = comparison.fits[comparison.candidates.index(candidate)]
     truth = throw.reference.values
     for name, estimate in result.coefficients.items():
         if estimate.stderr is not None:
@@ -216,13 +222,14 @@ def spoiled(clean):
 def test_outliers_change_neither_the_first_law_nor_its_coefficients(clean, spoiled):
     before = compare(clean, RIVALS, loss="student")
     after = compare(spoiled, RIVALS, loss="student")
-    for found in (before, after):
-        assert found.best.law == "front-back"
-        assert found.best.rank == 1
-        assert found.side == "right"
-        assert found.best.follows
-        assert not found.of("coulomb").follows
-        assert found.of("coulomb").delta_bic > 6  # "strong", Kass and Raftery (1995)
+    for comparison in (before, after):
+        assert comparison.best.law == "front-back"
+        assert comparison.best.rank == 1
+        assert comparison.side == "right"
+        assert comparison.best.follows
+        assert not comparison.of("coulomb").follows
+        # "strong", Kass and Raftery (1995)
+        assert comparison.of("coulomb").delta_bic > 6
     for name, estimate in before.best.coefficients.items():
         if estimate["stderr"] is not None:
             change = after.best.coefficients[name]["value"] - estimate["value"]
@@ -251,5 +258,5 @@ def test_saved_comparison_reads_back_the_same(of_eq12, tmp_path):
     again = load_comparison(tmp_path)
     assert again.to_json() == of_eq12.to_json()
     record = json.loads((tmp_path / "compare.json").read_text())
-    assert [item["rank"] for item in record["candidates"]][:3] == [1, 2, 3]
+    assert [candidate["rank"] for candidate in record["candidates"]][:3] == [1, 2, 3]
     assert curlfit.comparison_figure(again).axes

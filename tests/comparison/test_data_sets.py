@@ -31,7 +31,7 @@ def speeds_of_rest(c, k, length):
 def throws(c=C, k=K, seed=1):
     """Six throws of a law of powers in closed form, by speed and resting place."""
     random = np.random.default_rng(seed)
-    made = []
+    six_throws = []
     for row, length in enumerate(np.linspace(15.0, 30.0, 6), 1):
         events = (
             Event(
@@ -44,8 +44,10 @@ def throws(c=C, k=K, seed=1):
             Event("spin", "omega", 0.0, 0.001, HOG),
             Event("rest", "y", HOG + length + random.normal(0, 0.05), 0.05),
         )
-        made.append(curlfit.Throw.from_events(events, name=f"curls.csv row {row}"))
-    return made
+        six_throws.append(
+            curlfit.Throw.from_events(events, name=f"curls.csv row {row}")
+        )
+    return six_throws
 
 
 def table(c=C, k=K, seed=2, sigma=2e-4):
@@ -85,11 +87,11 @@ def test_the_common_optimum_is_that_of_scipy(agreeing):
     best = agreeing.of("power")
     expected = peer(throws(), table())
     covariance = np.linalg.inv(expected.jac.T @ expected.jac)
-    for place, name in enumerate(("c", "k")):
-        found = best.coefficients[name]
-        assert found["value"] == pytest.approx(expected.x[place], rel=1e-4)
-        assert found["stderr"] == pytest.approx(
-            covariance[place, place] ** 0.5, rel=1e-3
+    for index, name in enumerate(("c", "k")):
+        coefficient = best.coefficients[name]
+        assert coefficient["value"] == pytest.approx(expected.x[index], rel=1e-4)
+        assert coefficient["stderr"] == pytest.approx(
+            covariance[index, index] ** 0.5, rel=1e-3
         )
     assert sum(on.chi_squared for on in best.sets) == pytest.approx(
         2 * expected.cost, rel=1e-4
@@ -110,8 +112,8 @@ def test_the_law_of_both_data_sets_is_first(agreeing):
     assert not other.sets[1].follows
     # the friction at low speed speaks most against a constant one
     assert other.sets[1].largest[0][0] == "mu at 0.3 m/s"
-    assert [one.kind for one in agreeing.sets] == ["throws", "friction"]
-    assert [one.values for one in agreeing.sets] == [18, 6]
+    assert [data_set.kind for data_set in agreeing.sets] == ["throws", "friction"]
+    assert [data_set.values for data_set in agreeing.sets] == [18, 6]
 
 
 def test_the_friction_table_alone_is_as_scipy_fits_it(agreeing):
@@ -133,12 +135,12 @@ def apart():
 
 
 def test_a_law_of_each_data_set_but_not_of_both(apart):
-    found = apart.of("power")
-    assert all(on.own_follows for on in found.sets)
-    assert not found.follows
-    rise = sum(on.chi_squared - on.own_chi_squared for on in found.sets)
-    assert found.p_together == pytest.approx(chi2.sf(rise, 2), rel=1e-6)
-    assert found.p_together < 1e-3
+    candidate = apart.of("power")
+    assert all(on.own_follows for on in candidate.sets)
+    assert not candidate.follows
+    rise = sum(on.chi_squared - on.own_chi_squared for on in candidate.sets)
+    assert candidate.p_together == pytest.approx(chi2.sf(rise, 2), rel=1e-6)
+    assert candidate.p_together < 1e-3
 
 
 def test_what_is_said_saved_and_drawn(agreeing, apart, tmp_path):
@@ -175,13 +177,13 @@ def test_what_the_laws_miss_of_a_path_is_not_its_noise():
     exact = filmed(noise=dict.fromkeys(NOISE, 0.0))
     wave = 0.003 * np.sin(exact.t)
     path = replace(exact, x=exact.x + wave, y=exact.y + wave, phi=exact.phi + wave)
-    found = curlfit.compare([path, table()], ["front-back", "coulomb"])
-    assert found.sets[0].sigma == NOISE
-    assert found.sets[0].effective == found.sets[0].values
-    of_path = {item.law: item.sets[0] for item in found.candidates}
+    comparison = curlfit.compare([path, table()], ["front-back", "coulomb"])
+    assert comparison.sets[0].sigma == NOISE
+    assert comparison.sets[0].effective == comparison.sets[0].values
+    of_path = {candidate.law: candidate.sets[0] for candidate in comparison.candidates}
     assert of_path["front-back"].own_follows
     assert not of_path["coulomb"].own_follows
-    alone = curlfit.fit(path, "coulomb", sigma=found.sets[0].sigma, details=False)
+    alone = curlfit.fit(path, "coulomb", sigma=comparison.sets[0].sigma, details=False)
     assert of_path["coulomb"].own_chi_squared == pytest.approx(
         alone.chi_squared, rel=1e-4
     )
@@ -193,5 +195,5 @@ def test_tracks_alone_are_one_data_set_each():
     best = curlfit.compare(tracks, "front-back").best
     together = curlfit.fit_together(tracks, "front-back", share="all")
     assert (best.law, len(best.sets)) == ("front-back", 2)
-    expected = sum(one.chi_squared for one in together.throws)
+    expected = sum(throw.chi_squared for throw in together.throws)
     assert sum(on.chi_squared for on in best.sets) == pytest.approx(expected, rel=1e-4)

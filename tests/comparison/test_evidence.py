@@ -40,7 +40,7 @@ def test_a_ridge_within_a_box(width):
     # 0.3, in 0..1
     information = np.ones((2, 2)) / width**2
     prior = np.eye(2) / 0.3**2
-    found = _log_integral(
+    log_integral = _log_integral(
         prior @ [-0.1, -0.1],
         information + prior,
         np.full(2, -0.1),
@@ -59,15 +59,15 @@ def test_a_ridge_within_a_box(width):
         return np.trapezoid(np.exp(exponent) * inside, total)
 
     differences = np.linspace(-1.0, 1.0, 4001)
-    values = [along(one) for one in differences]
-    assert found == pytest.approx(
+    values = [along(difference) for difference in differences]
+    assert log_integral == pytest.approx(
         np.log(np.trapezoid(values, differences) / 2), abs=2e-3
     )
 
 
 @pytest.mark.parametrize("push", [0.1, 3.0, 300.0])
 def test_a_parameter_pushed_against_its_bound(push):
-    found = _log_integral(
+    log_integral = _log_integral(
         np.array([-push]),
         np.array([[4.0]]),
         np.zeros(1),
@@ -79,7 +79,7 @@ def test_a_parameter_pushed_against_its_bound(push):
     )[0]
     if push < 1:
         expected = quad(lambda d: np.exp(-push * d - 2 * d**2), 0, 10)[0]
-    assert found == pytest.approx(np.log(expected), abs=1e-4)
+    assert log_integral == pytest.approx(np.log(expected), abs=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -121,19 +121,19 @@ def test_the_prior_of_one_coefficient_against_quadrature(
 ):
     throw = few.throw.with_sigma(dict.fromkeys(("x", "y", "phi"), sigma))
     fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
-    one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
-    problem = problem_of(one)
-    value = one["mu1_eta"].value
-    stderr = one["mu1_eta"].stderr
+    fit = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
+    problem = problem_of(fit)
+    value = fit["mu1_eta"].value
+    stderr = fit["mu1_eta"].stderr
     low = max(value - 8 * stderr, density.ppf(1e-7), 0.0)
     high = min(value + 40 * stderr, density.ppf(1 - 1e-7))
     values = np.linspace(low, high, 64)
-    points = np.tile(one.values, (len(values), 1))
-    points[:, list(one.parameters).index("mu1_eta")] = values
+    points = np.tile(fit.values, (len(values), 1))
+    points[:, list(fit.parameters).index("mu1_eta")] = values
     chi_squared = chi_squared_of_many(
-        one.model, points, stacked([problem] * len(values)), BATCH
+        fit.model, points, stacked([problem] * len(values)), BATCH
     )
-    likelihood = CubicSpline(values, -0.5 * (chi_squared - one.chi_squared))
+    likelihood = CubicSpline(values, -0.5 * (chi_squared - fit.chi_squared))
     integral = quad(
         lambda p: np.exp(likelihood(p)) * density.pdf(p),
         low,
@@ -141,9 +141,9 @@ def test_the_prior_of_one_coefficient_against_quadrature(
         points=[value],
         limit=200,
     )[0]
-    given = sum(log_likelihood(one).values())
-    assert log_evidence(one, given) - given == pytest.approx(np.log(integral), abs=0.02)
-    assert effective_parameters(one) == pytest.approx(by_data, abs=0.01)
+    total = sum(log_likelihood(fit).values())
+    assert log_evidence(fit, total) - total == pytest.approx(np.log(integral), abs=0.02)
+    assert effective_parameters(fit) == pytest.approx(by_data, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_the_probability_of_a_box_in_one_dimension_and_in_two(ends):
     low, high = np.array(ends)
     exact = np.log(norm.sf(low) - norm.sf(high))
     far = np.array([-np.inf, np.inf])
-    one = _log_box(np.zeros(1), np.eye(1), low[None], high[None])
-    two = _log_box(
+    interval = _log_box(np.zeros(1), np.eye(1), low[None], high[None])
+    rectangle = _log_box(
         np.array([0.0, 1.0]), np.eye(2), np.array([low, -1.0]), np.array([high, far[1]])
     )
-    assert one == pytest.approx(exact, rel=1e-12)
-    assert two == pytest.approx(exact + norm.logsf(-2.0), rel=1e-6)
+    assert interval == pytest.approx(exact, rel=1e-12)
+    assert rectangle == pytest.approx(exact + norm.logsf(-2.0), rel=1e-6)

@@ -49,8 +49,8 @@ def test_a_spline_has_the_derivatives_of_what_it_smooths():
         spline = PenalizedSpline.of(
             t, np.sin(t) + 0.05 * random.standard_normal(len(t))
         )
-        found, error = spline.at(t, 2)
-        inside.append(np.mean(np.abs(found + np.sin(t)) < 1.96 * error))
+        second_derivative, error = spline.at(t, 2)
+        inside.append(np.mean(np.abs(second_derivative + np.sin(t)) < 1.96 * error))
         assert np.median(error) < 0.3
     assert np.mean(inside) > 0.88
     line = PenalizedSpline.of(t, 3 * t**2 + 1e-9 * random.standard_normal(len(t)))
@@ -62,20 +62,20 @@ def test_the_bands_have_what_the_law_lacks():
     significance = []
     for seed in range(4):
         throw = thrown(Falling(**COEFFICIENTS), seed)
-        found = lacking(
+        missing = lacking(
             "front-back",
             curlfit.fit(throw, "front-back", stone=STONE, details=False),
             {},
             None,
         )
-        whole = np.array(
+        true_accelerations = np.array(
             accelerations(
-                Falling(**COEFFICIENTS), STONE, "uniform", found.speed, found.omega
+                Falling(**COEFFICIENTS), STONE, "uniform", missing.speed, missing.omega
             )
         )
-        off = (found.lacks - (whole - found.of_law)) / found.stderr
+        off = (missing.lacks - (true_accelerations - missing.of_law)) / missing.stderr
         inside.append(np.mean(np.abs(off) < 1.96, axis=1))
-        significance.append(np.abs(found.significance()[1]).max())
+        significance.append(np.abs(missing.significance()[1]).max())
     assert (np.mean(inside, axis=0) > 0.85).all()
     assert min(significance) > 5
 
@@ -86,12 +86,12 @@ def test_what_is_lacking_is_what_the_right_law_adds():
         curlfit.fit(throw, law, stone=STONE, details=False)
         for law in ("coulomb", "front-back")
     )
-    found = lacking("coulomb", alone, {"front-back": right}, None)
-    assert found.nearest == "front-back"
-    assert found.size() > 20
-    assert found.size("front-back") < 2.5
+    missing = lacking("coulomb", alone, {"front-back": right}, None)
+    assert missing.nearest == "front-back"
+    assert missing.size() > 20
+    assert missing.size("front-back") < 2.5
     # across, to the left, where the stone turns counter-clockwise
-    assert found.lacks[0].max() < 0
+    assert missing.lacks[0].max() < 0
 
 
 def test_a_law_that_lacks_nothing_is_told_so():

@@ -29,7 +29,7 @@ START = {
 @pytest.fixture(scope="module")
 def throw():
     """31 rows, so that a row matters, five of them without x."""
-    made = curlfit.synthetic_throw(
+    full_throw = curlfit.synthetic_throw(
         curlfit.LAWS["coulomb"](0.009),
         curlfit.Stone(),
         v0=2.0,
@@ -40,9 +40,11 @@ def throw():
         noise_phi=0.01,
         seed=3,
     )
-    x = made.x.copy()
+    x = full_throw.x.copy()
     x[4:9] = np.nan
-    return curlfit.Throw.from_arrays(made.t, x, made.y, made.phi, sigma=SIGMA)
+    return curlfit.Throw.from_arrays(
+        full_throw.t, x, full_throw.y, full_throw.phi, sigma=SIGMA
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,16 +54,16 @@ def fit(throw):
 
 def path_of(result, times):
     """x, y, phi of a fit whose first row is at time 0, shape (rows, 3)."""
-    value = {name: item.value for name, item in result.parameters.items()}
+    value = {name: estimate.value for name, estimate in result.parameters.items()}
     return path(value, times)
 
 
 def path(value, times):
     start = curlfit.InitialState(**{START[name]: value[name] for name in START})
-    found = curlfit.simulate(
+    trajectory = curlfit.simulate(
         curlfit.LAWS["coulomb"](value["mu"]), curlfit.Stone(), start, times
     )
-    return np.stack([found.x, found.y, found.phi], -1)
+    return np.stack([trajectory.x, trajectory.y, trajectory.phi], -1)
 
 
 def test_the_closed_form_against_fits_without_the_row(throw, fit):
@@ -94,17 +96,17 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
         covariance = slopes[row] @ other.covariance.matrix @ slopes[row].T
         covariance += np.diag(np.square(list(SIGMA.values())))
         off = measured[row] - path_of(other, throw.t)[row]
-        there = np.isfinite(off)
+        finite = np.isfinite(off)
         return multivariate_normal.logpdf(
-            off[there], cov=covariance[np.ix_(there, there)]
+            off[finite], cov=covariance[np.ix_(finite, finite)]
         )
 
-    found = leave_one_out(fit)
-    others = [curlfit.fit(one, "coulomb", details=False) for one in cut]
-    expected = [log_predictive(*pair) for pair in zip(others, rows, strict=True)]
-    np.testing.assert_allclose(found.left_out[rows], expected, atol=2e-3)
+    by_closed_form = leave_one_out(fit)
+    refits = [curlfit.fit(shortened, "coulomb", details=False) for shortened in cut]
+    expected = [log_predictive(*pair) for pair in zip(refits, rows, strict=True)]
+    np.testing.assert_allclose(by_closed_form.left_out[rows], expected, atol=2e-3)
     fitted = [log_predictive(fit, row) for row in rows]
-    np.testing.assert_allclose(found.fitted[rows], fitted, atol=2e-3)
+    np.testing.assert_allclose(by_closed_form.fitted[rows], fitted, atol=2e-3)
 
 
 def test_an_estimated_sigma_against_the_exact_integral():
@@ -120,12 +122,13 @@ def test_an_estimated_sigma_against_the_exact_integral():
         spread = np.linalg.slogdet(x.T @ x)[1]
         return gammaln(half) - spread / 2 - half * np.log(np.pi * squares[0])
 
-    whole = np.arange(12)
+    all_rows = np.arange(12)
     expected = [
-        log_marginal(whole) - log_marginal(np.delete(whole, row)) for row in whole
+        log_marginal(all_rows) - log_marginal(np.delete(all_rows, row))
+        for row in all_rows
     ]
     residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-    found = densities(
+    by_closed_form = densities(
         2 * residual[None],
         2 * design[None],
         np.full((1, 12), 2.0),
@@ -133,7 +136,7 @@ def test_an_estimated_sigma_against_the_exact_integral():
         np.zeros(0),
         np.array([True]),
     )
-    np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
+    np.testing.assert_allclose(by_closed_form.left_out, expected, rtol=1e-9)
 
 
 def test_a_prior_counts_as_a_row_that_is_never_left_out():
@@ -151,7 +154,7 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
         gain = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, row])
         spread = covariance[row, row] - gain @ covariance[rest, row]
         expected.append(norm.logpdf(off[row], gain @ off[rest], np.sqrt(spread)))
-    found = densities(
+    by_closed_form = densities(
         y[None],
         design[None],
         np.ones((1, 6)),
@@ -159,7 +162,7 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
         mean / sd,
         np.array([False]),
     )
-    np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
+    np.testing.assert_allclose(by_closed_form.left_out, expected, rtol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +173,8 @@ def of_ring(throw):
 
 def test_a_ridge_is_no_parameter(of_ring):
     """Under uniform load `pressure` is `coulomb`, and tells and costs as much."""
-    coulomb, pressure = of_ring.of("coulomb"), of_ring.of("pressure")
+    coulomb = of_ring.of("coulomb")
+    pressure = of_ring.of("pressure")
     assert pressure.not_identifiable == ("k",)
     for name in ("elpd_loo", "p_loo", "delta_elpd", "delta_elpd_se"):
         assert getattr(pressure, name) == pytest.approx(
@@ -189,15 +193,15 @@ def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
     stiffness = 4.0 - 1 / 5
     # with the other integrated out
     gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)
-    found = _bound_factors(precision, gradient, np.array([0.0, inward]))
-    assert (found.mean[0], found.precision[0]) == (0.0, 0.0)
-    whole = stiffness + found.precision[1]
+    factors = _bound_factors(precision, gradient, np.array([0.0, inward]))
+    assert (factors.mean[0], factors.precision[0]) == (0.0, 0.0)
+    total_stiffness = stiffness + factors.precision[1]
     mean = (
-        found.precision[1] * found.mean[1] - inward * push * np.sqrt(stiffness)
-    ) / whole
+        factors.precision[1] * factors.mean[1] - inward * push * np.sqrt(stiffness)
+    ) / total_stiffness
     left = expon(scale=1 / push) if push > 100 else truncnorm(push, np.inf, loc=-push)
     assert inward * mean * np.sqrt(stiffness) == pytest.approx(left.mean(), rel=2e-3)
-    assert stiffness / whole == pytest.approx(left.var(), rel=5e-3)
+    assert stiffness / total_stiffness == pytest.approx(left.var(), rel=5e-3)
 
 
 def test_a_row_that_alone_determines_a_parameter_is_not_predicted():

@@ -41,20 +41,20 @@ def found(throw):
 
 def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
     """With the determinant of the covariance, against a dense one."""
-    assert [item.noise for item in found.candidates] == ["ar1", "white"]
-    for item, result in zip(found.candidates, found.fits, strict=True):
+    assert [candidate.noise for candidate in found.candidates] == ["ar1", "white"]
+    for candidate, result in zip(found.candidates, found.fits, strict=True):
         total = 0.0
         t = result.observed["t"]
         for name in SIGMA:
             off = result.observed[name] - result.fitted[name]
-            memory = item.noise_model.memory.get(name, 1e-9)
-            white = item.noise_model.white.get(name, 1.0)
+            memory = candidate.noise_model.memory.get(name, 1e-9)
+            white = candidate.noise_model.white.get(name, 1.0)
             correlation = (1 - white) * np.exp(-np.abs(t[:, None] - t) / memory)
             correlation += white * np.eye(len(t))
             # the most likely
             variance = off @ np.linalg.solve(correlation, off) / len(t)
             total += multivariate_normal.logpdf(off, cov=variance * correlation)
-        assert item.log_likelihood == pytest.approx(total, abs=1e-6)
+        assert candidate.log_likelihood == pytest.approx(total, abs=1e-6)
 
 
 def test_criteria_of_noise_models_are_comparable(found):
@@ -76,9 +76,9 @@ def test_criteria_of_noise_models_are_comparable(found):
 def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     console = Console(width=110, file=StringIO())
     print_comparison(found, console)
-    said = console.file.getvalue()
-    assert "white and ar1 noise" in said.splitlines()[0]
-    assert "coulomb, uniform load, ar1 noise" in said
+    output = console.file.getvalue()
+    assert "white and ar1 noise" in output.splitlines()[0]
+    assert "coulomb, uniform load, ar1 noise" in output
     assert "The lowest BIC is that of ar1 noise" in " ".join(conclusions(found))
     found.save(tmp_path / "compare.json")
     again = load_comparison(tmp_path)
@@ -96,22 +96,22 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
 
 
 def test_correlated_residuals_count_effective_values_less_those_spent(throw):
-    found = curlfit.compare(throw, ["coulomb"])
-    k = found.best.n_parameters
-    counts = found.effective
+    comparison = curlfit.compare(throw, ["coulomb"])
+    k = comparison.best.n_parameters
+    counts = comparison.effective
     assert counts.keys() == SIGMA.keys()
     # n (1 - r)/(1 + r) of the noise that was drawn
     r = np.exp(-0.1 / MEMORY)
     assert sum(counts.values()) == pytest.approx(3 * 201 * (1 - r) / (1 + r), rel=0.3)
     minus_two = 0.0
-    for name, rms in found.best.rms.items():
+    for name, rms in comparison.best.rms.items():
         spent = (k - 3) / 3  # a third of the parameters but the sigmas
         minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
     expected = minus_two + k * np.log(sum(counts.values()))
-    assert found.best.bic == pytest.approx(expected, rel=1e-9)
-    said = document(found)
-    assert [note.code for note in said.notes] == ["evidence-not-given"]
-    (warning,) = said.warnings
+    assert comparison.best.bic == pytest.approx(expected, rel=1e-9)
+    report = document(comparison)
+    assert [note.code for note in report.notes] == ["evidence-not-given"]
+    (warning,) = report.warnings
     (remedy,) = warning.remedies
     assert str(remedy) == "`--noise white,ar1` compares noise models"
 
@@ -121,7 +121,7 @@ def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):
     free = curlfit.compare(throw, ["coulomb"])
     prior = curlfit.compare(throw, ["coulomb"], priors={"mu": f"{mu}+-1e-9"})
     fixed = curlfit.compare(throw, ["coulomb"], fix={"mu": mu})
-    counts = [each.best.n_parameters for each in (free, prior, fixed)]
+    counts = [comparison.best.n_parameters for comparison in (free, prior, fixed)]
     assert counts == pytest.approx([10, 9, 9], abs=1e-3)
     # nor in the correction of the correlation of residuals for the
     # parameters of the fit

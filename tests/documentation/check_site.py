@@ -37,18 +37,21 @@ class Page(HTMLParser):
         self.feed(file.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        known = {key: value or "" for key, value in attrs}
-        self.ids.add(known.get("id", ""))
-        if tag == "a" and "href" in known:
-            self.links.append(known["href"])
-        elif known.get(LOADS.get(tag, "")) and known.get("rel") not in _NOT_LOADED:
-            self.resources.append(known[LOADS[tag]])
+        attributes = {key: value or "" for key, value in attrs}
+        self.ids.add(attributes.get("id", ""))
+        if tag == "a" and "href" in attributes:
+            self.links.append(attributes["href"])
+        elif (
+            attributes.get(LOADS.get(tag, ""))
+            and attributes.get("rel") not in _NOT_LOADED
+        ):
+            self.resources.append(attributes[LOADS[tag]])
 
 
 def faults(site: Path) -> list[str]:
     """What is wrong with a site, a sentence each."""
     pages = {file.resolve(): Page(file) for file in sorted(site.rglob("*.html"))}
-    found = [] if pages else [f"{site}: no pages"]
+    complaints = [] if pages else [f"{site}: no pages"]
     for file, page in pages.items():
         name = file.relative_to(site.resolve())
         for link in page.links + page.resources:
@@ -57,25 +60,27 @@ def faults(site: Path) -> list[str]:
                 continue
             if parts.scheme or parts.netloc:
                 if link in page.resources:
-                    found.append(f"{name}: {link} comes from a network")
+                    complaints.append(f"{name}: {link} comes from a network")
                 continue
-            there = (
+            target = (
                 (file.parent / unquote(parts.path)).resolve() if parts.path else file
             )
-            there = there / "index.html" if there.is_dir() else there
-            ids = pages[there].ids | {""} if there in pages else {""}
-            if not there.is_file():
-                found.append(f"{name}: no file {link}")
+            target = target / "index.html" if target.is_dir() else target
+            ids = pages[target].ids | {""} if target in pages else {""}
+            if not target.is_file():
+                complaints.append(f"{name}: no file {link}")
             elif (
                 link in page.links
-                and there in pages
+                and target in pages
                 and unquote(parts.fragment) not in ids | {""}
             ):
-                found.append(f"{name}: no anchor {link}")
+                complaints.append(f"{name}: no anchor {link}")
     for file in sorted(site.rglob("*.css")):
         for match in _STYLE.finditer(file.read_text(encoding="utf-8")):
-            found.append(f"{file.relative_to(site)}: {match[1]} comes from a network")
-    return found
+            complaints.append(
+                f"{file.relative_to(site)}: {match[1]} comes from a network"
+            )
+    return complaints
 
 
 if __name__ == "__main__":

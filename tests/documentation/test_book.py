@@ -37,7 +37,8 @@ PAGES = {"README": (ROOT / "README.md").read_text()} | {
     for entry in ["index", *ENTRIES]
     if (NOTEBOOKS / f"{entry}.md").exists()
 }
-README, BOOK = PAGES["README"], "\n".join(PAGES.values())
+README = PAGES["README"]
+BOOK = "\n".join(PAGES.values())
 # These are done by .ci/run, each in an environment that has nothing yet.
 NOT_HERE = tuple(
     re.search(rf"<!-- {name} -->\n```bash\n(.*)\n```", README)[1]
@@ -140,21 +141,21 @@ def test_the_table_of_fit_json_has_its_fields(printed, clone):
     first = [
         line.split(" | ")[0] for line in table.splitlines() if line.startswith("| `")
     ]
-    told = {name for cell in first for name in re.findall(r"`(\w+)`", cell)}
-    assert told == record.keys()
+    fields = {name for cell in first for name in re.findall(r"`(\w+)`", cell)}
+    assert fields == record.keys()
 
 
 def test_options_within_sentences_exist():
     verbs = [app[name] for name in app if not name.startswith("-")]
-    known = {
+    flag_names = {
         name
         for verb in verbs
         for flag in verb.assemble_argument_collection()
         for name in flag.names
     }
-    told = set(re.findall(r"(?<=`)--[a-z0-9-]+", BOOK))
-    assert len(told) > 40
-    assert told <= known | {"--help", "--version"}, told - known
+    options = set(re.findall(r"(?<=`)--[a-z0-9-]+", BOOK))
+    assert len(options) > 40
+    assert options <= flag_names | {"--help", "--version"}, options - flag_names
 
 
 def test_calls_within_sentences_fit_their_functions():
@@ -164,7 +165,7 @@ def test_calls_within_sentences_fit_their_functions():
     for text in calls:
         call = ast.parse(" ".join(text.split()), mode="eval").body
         assert isinstance(call, ast.Call)
-        named = {str(item.arg): None for item in call.keywords}
+        named = {str(keyword.arg): None for keyword in call.keywords}
         function = getattr(curlfit, call.func.attr)
         inspect.signature(function).bind(*call.args, **named)
 
@@ -172,7 +173,7 @@ def test_calls_within_sentences_fit_their_functions():
 @pytest.mark.parametrize("line", sorted(INLINE))
 def test_commands_within_sentences(printed, clone, line):
     if re.fullmatch(r"curlfit [a-z]+", line):  # a verb alone
-        shown = {" ".join(known.split()[:2]) for known in BASH}
+        shown = {" ".join(command.split()[:2]) for command in BASH}
         assert line in shown | {"curlfit show", "curlfit app"}
         return
     folders = [
@@ -194,19 +195,19 @@ def test_commands_within_sentences_are_found():
 def test_python(tmp_path):
     """All blocks in one process, each with names of its own."""
     shutil.copytree(ROOT / "data", tmp_path / "data")
-    found = re.findall(r"```python\n(.*?)```", BOOK, re.S)
-    assert len(found) >= 5
-    for index, block in enumerate(found):
+    code_blocks = re.findall(r"```python\n(.*?)```", BOOK, re.S)
+    assert len(code_blocks) >= 5
+    for index, block in enumerate(code_blocks):
         if "curlfit.sample(" in block:
             # in the next sentence, of what the block has defined
             (line,) = set(
                 re.findall(r"`(curlfit\.sample\([^`]*resume[^`]*\))`", PAGES["python"])
             )
-            found[index] += f"again = {line}[1], {line}[1]\n"
-            found[index] += (
+            code_blocks[index] += f"again = {line}[1], {line}[1]\n"
+            code_blocks[index] += (
                 "assert all((one.values == chain.values).all() for one in again)\n"
             )
-    (tmp_path / "blocks.json").write_text(json.dumps(found))
+    (tmp_path / "blocks.json").write_text(json.dumps(code_blocks))
     (tmp_path / "all.py").write_text(
         "import json, pathlib\n"
         "for block in json.loads(pathlib.Path('blocks.json').read_text()):\n"
@@ -257,10 +258,10 @@ FILES = [ROOT / "README.md", *NOTEBOOKS.glob("*.md"), *NOTEBOOKS.glob("book/*.md
 def test_links_lead_somewhere(file):
     text = file.read_text()
     for target, anchor in LINK.findall(text):
-        there = file.parent / target if target else file
-        assert there.exists(), target
+        linked_file = file.parent / target if target else file
+        assert linked_file.exists(), target
         if anchor:
-            assert anchor in _slugs(there.read_text()), (target, anchor)
+            assert anchor in _slugs(linked_file.read_text()), (target, anchor)
 
 
 def _module(file):
@@ -282,7 +283,10 @@ def test_the_pictures_of_the_laws_are_what_the_laws_draw():
         number = r"-?\d+(?:\.\d+)?"
         assert re.sub(number, "#", stored) == re.sub(number, "#", now), name
         pairs = zip(re.findall(number, stored), re.findall(number, now), strict=True)
-        assert all(abs(float(one) - float(other)) < 0.11 for one, other in pairs), name
+        assert all(
+            abs(float(stored_number) - float(drawn_number)) < 0.11
+            for stored_number, drawn_number in pairs
+        ), name
 
 
 def test_the_page_of_the_laws_has_all_of_them():
@@ -293,13 +297,15 @@ def test_the_page_of_the_laws_has_all_of_them():
         assert f"pictures/law_{name}.svg" in section
         row = re.search(rf"^\| \[`{re.escape(name)}`\].*$", page, re.M)[0]
         if name != "front-back-first-order":
-            names = [item.name for item in curlfit.LAWS[name].coefficients()]
+            names = [
+                coefficient.name for coefficient in curlfit.LAWS[name].coefficients()
+            ]
             assert re.findall(r"`(\w+)`", row.split("|")[-2]) == names
 
 
 def test_the_api_has_all_public_names():
-    told = re.findall(r"^\.\. [\w:]+:: curlfit\.(\w+)$", PAGES["api"], re.M)
-    assert sorted(told) == sorted(set(curlfit.__all__) - {"__version__"})
+    documented_names = re.findall(r"^\.\. [\w:]+:: curlfit\.(\w+)$", PAGES["api"], re.M)
+    assert sorted(documented_names) == sorted(set(curlfit.__all__) - {"__version__"})
 
 
 def test_the_configuration_is_understood(tmp_path):

@@ -84,7 +84,8 @@ def known(tmp_path_factory):
     what failed."""
     folder = tmp_path_factory.mktemp("examples")
     shutil.copytree(ROOT / "data", folder / "data")
-    namespace, failures = {"curlfit": curlfit, "np": np}, []
+    namespace = {"curlfit": curlfit, "np": np}
+    failures = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for name in (*FIRST, *sorted({*curlfit.__all__} - {*FIRST})):
@@ -101,10 +102,10 @@ def known(tmp_path_factory):
                 command("batch", *words, "--workers", 1, cwd=folder)
             if name == "load_joint":  # as `curlfit fit A B --out joint` leaves it
                 joint = namespace["joint"]
-                own = folder / "joint" / Path(joint.throws[0].data.file).stem
-                own.mkdir(parents=True)
+                throw_folder = folder / "joint" / Path(joint.throws[0].data.file).stem
+                throw_folder.mkdir(parents=True)
                 joint.save(folder / "joint" / "joint.json")
-                joint.throws[0].save(own / "fit.json")
+                joint.throws[0].save(throw_folder / "fit.json")
             failures.append(run_examples(name, namespace))
         namespace["flat"] = curlfit.profile(namespace["fit"], "mu1_eta", points=5)
     namespace |= {"folder": folder, "failures": failures}
@@ -129,7 +130,9 @@ class Page(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.open, self.tags, self.text = [], [], ""
+        self.open = []
+        self.tags = []
+        self.text = ""
         self.feed(page)
         assert not self.open
 
@@ -172,7 +175,8 @@ def test_a_result_is_a_few_lines_of_text_and_a_small_page(known, name):
 
 def test_what_a_fit_finds_comes_first_and_nothing_undetermined_has_an_error(known):
     fit = known["fit"]
-    text, page = repr(fit), Page(fit._repr_html_()).text
+    text = repr(fit)
+    page = Page(fit._repr_html_()).text
     for shown in (text, page):
         assert re.match(r"FitResult, +converged", shown)
         assert not re.search(r"mu1_eta (=|\d)|mu1_eta +[\d(]", shown)
@@ -197,7 +201,8 @@ def test_what_a_fit_finds_comes_first_and_nothing_undetermined_has_an_error(know
 
 def test_pages_are_escaped(known):
     name = '<img src=x onerror="alert(1)">&[bold]'
-    fit, throw = known["fit"], known["throw"]
+    fit = known["fit"]
+    throw = known["throw"]
     for result in (
         replace(
             fit,
@@ -234,14 +239,14 @@ def test_colours_are_readable_on_white_and_on_black():
 def test_a_traced_path_can_be_shown():
     import jax
 
-    seen = []
+    texts = []
 
     def shown(x):
-        seen.append(repr(curlfit.Trajectory(*[x] * 8)))
+        texts.append(repr(curlfit.Trajectory(*[x] * 8)))
         return x
 
     jax.jit(shown)(np.zeros(3))
-    assert seen == ["Trajectory, shape (3,): motion of a stone"]
+    assert texts == ["Trajectory, shape (3,): motion of a stone"]
 
 
 # --- items and tables
@@ -250,7 +255,8 @@ def test_a_traced_path_can_be_shown():
 def test_numbers_are_taken_by_name(known):
     # compared by identity
     assert known["fit"] != pickle.loads(pickle.dumps(known["fit"]))
-    fit, joint = known["fit"], known["joint"]
+    fit = known["fit"]
+    joint = known["joint"]
     assert fit["mu2_xi"] is fit.parameters["mu2_xi"]
     assert fit["mu1_eta + mu2_eta"] is fit.combinations[0]
     assert joint["mu1_eta + mu2_eta"] is joint.combinations[0]
@@ -270,14 +276,22 @@ def test_a_fit_as_a_table(known):
     fit = known["fit"]
     table = fit.to_frame()
     assert [*table.index] == [*fit.parameters, "mu1_eta + mu2_eta"]
-    row, item = table.loc["mu2_xi"], fit["mu2_xi"]
-    reach = stats.t(item.dof).ppf(0.975) * item.stderr
+    row = table.loc["mu2_xi"]
+    estimate = fit["mu2_xi"]
+    reach = stats.t(estimate.dof).ppf(0.975) * estimate.stderr
     np.testing.assert_allclose(
         row[["value", "stderr", "low", "high"]].astype(float),
-        [item.value, item.stderr, item.value - reach, item.value + reach],
+        [
+            estimate.value,
+            estimate.stderr,
+            estimate.value - reach,
+            estimate.value + reach,
+        ],
     )
     shifts = fit.systematics.shifts["mu2_xi"].values()
-    assert row["systematic"] == pytest.approx(np.sqrt(sum(one**2 for one in shifts)))
+    assert row["systematic"] == pytest.approx(
+        np.sqrt(sum(shift**2 for shift in shifts))
+    )
     hidden = table.loc["mu1_eta"]
     assert hidden[["value", "stderr", "systematic", "low", "high"]].isna().all()
     assert hidden["verdict"] == "not identifiable"
@@ -309,12 +323,14 @@ def test_a_chain_as_a_table(known):
     total = {"mu1_eta": 1.0, "mu2_eta": 1.0}
     assert table["mu1_eta + mu2_eta"].mean() == pytest.approx(chain.of(total).mean())
     # walkers are divided evenly among the ensembles, in their order
-    ensemble, walker, step = 2, 5, 3
+    ensemble = 2
+    walker = 5
+    step = 3
     row = table.loc[(ensemble, walker, step)]
-    place = ensemble * chain.values.shape[1] // chain.ensembles + walker
-    sample = chain.values[chain.discarded + step, place]
+    position = ensemble * chain.values.shape[1] // chain.ensembles + walker
+    sample = chain.values[chain.discarded + step, position]
     np.testing.assert_array_equal(row[list(chain.names)], sample)
-    assert row["log_posterior"] == chain.log_posterior[chain.discarded + step, place]
+    assert row["log_posterior"] == chain.log_posterior[chain.discarded + step, position]
 
 
 def test_other_results_as_tables(known):
@@ -327,7 +343,7 @@ def test_other_results_as_tables(known):
     )
     table = known["comparison"].to_frame()
     assert table["delta_bic"].tolist() == [
-        item.delta_bic for item in known["comparison"].candidates
+        candidate.delta_bic for candidate in known["comparison"].candidates
     ]
     profile = known["profile"]
     table = profile.to_frame()
@@ -340,7 +356,7 @@ def test_other_results_as_tables(known):
     ]
     errors = known["plan"].to_frame()["mu1_eta + mu2_eta stderr"]
     assert errors.tolist() == [
-        one.stderr["mu1_eta + mu2_eta"] for one in known["plan"].candidates
+        candidate.stderr["mu1_eta + mu2_eta"] for candidate in known["plan"].candidates
     ]
     path = known["path"].to_frame()
     np.testing.assert_allclose(path["speed"], np.hypot(path["vx"], path["vy"]))
@@ -349,9 +365,11 @@ def test_other_results_as_tables(known):
 def test_extras_have_a_kernel_and_no_upper_bounds():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    assert any(one.startswith("ipykernel") for one in extras["notebook"])
+    assert any(
+        requirement.startswith("ipykernel") for requirement in extras["notebook"]
+    )
     for requirements in (project["dependencies"], *extras.values()):
-        assert not [one for one in requirements if "<" in one]
+        assert not [requirement for requirement in requirements if "<" in requirement]
 
 
 @pytest.mark.parametrize(
@@ -403,17 +421,19 @@ def inference(known):
 
 
 def test_arviz_has_the_chain(known, inference):
-    chain, fit = known["chain"], known["fit"]
+    chain = known["chain"]
+    fit = known["fit"]
     posterior = inference.posterior
     thin = inference.attrs["thinning"]
     kept = chain.kept[:, :, ::thin]
     assert posterior.sizes == {"chain": 4, "draw": kept.shape[1] * kept.shape[2]}
     assert set(posterior) == {*chain.names, "mu1_eta + mu2_eta"}
-    one = posterior.isel(chain=1, draw=[7, kept.shape[2] + 1])
-    walkers, steps = one["walker"].values, one["step"].values
+    draws = posterior.isel(chain=1, draw=[7, kept.shape[2] + 1])
+    walkers = draws["walker"].values
+    steps = draws["step"].values
     rows = chain.discarded + steps, chain.values.shape[1] // 4 + walkers
     np.testing.assert_array_equal(
-        one["v0"], chain.values[(*rows, chain.names.index("v0"))]
+        draws["v0"], chain.values[(*rows, chain.names.index("v0"))]
     )
     np.testing.assert_array_equal(
         inference.sample_stats["lp"].isel(chain=1, draw=[7, kept.shape[2] + 1]),
@@ -464,11 +484,16 @@ def test_arviz_plots_compares_and_summarises(known, inference, monkeypatch):
             < summary["ess_bulk"][name]
             < 1.2 * inference.posterior["v0"].size
         )
-    mean, sd = known["posterior"].mean["mu2_xi"], known["posterior"].sd["mu2_xi"]
+    mean = known["posterior"].mean["mu2_xi"]
+    sd = known["posterior"].sd["mu2_xi"]
     assert summary["mean"]["mu2_xi"] == pytest.approx(mean, abs=0.15 * sd)
-    found = arviz.loo(inference, var_name="phi")
-    assert not found.warning
-    elpd, effective = (found.elpd, found.p) if new else (found.elpd_loo, found.p_loo)
+    leave_one_out = arviz.loo(inference, var_name="phi")
+    assert not leave_one_out.warning
+    elpd, effective = (
+        (leave_one_out.elpd, leave_one_out.p)
+        if new
+        else (leave_one_out.elpd_loo, leave_one_out.p_loo)
+    )
     # of a Gaussian: the log density at the fit, less some of the effective parameters
     fit = known["fit"]
     at_fit = stats.norm.logpdf(fit.residuals["phi"], scale=fit.sigma["phi"]).sum()
@@ -481,12 +506,12 @@ def test_a_channel_with_gaps_has_times_of_its_own(known):
     gaps = chain.fit.observed["phi"].copy()
     gaps[5:9] = np.nan
     fit = replace(chain.fit, observed=chain.fit.observed | {"phi": gaps})
-    found = replace(chain, fit=fit).to_arviz(draws=4)
-    assert found.log_likelihood["phi"].dims == ("chain", "draw", "time_phi")
+    exported = replace(chain, fit=fit).to_arviz(draws=4)
+    assert exported.log_likelihood["phi"].dims == ("chain", "draw", "time_phi")
     times = np.delete(fit.observed["t"], range(5, 9))
-    np.testing.assert_array_equal(found.log_likelihood["time_phi"], times)
-    assert found.log_likelihood["x"].dims == ("chain", "draw", "time")
-    assert all(np.isfinite(values).all() for values in found.log_likelihood.values())
+    np.testing.assert_array_equal(exported.log_likelihood["time_phi"], times)
+    assert exported.log_likelihood["x"].dims == ("chain", "draw", "time")
+    assert all(np.isfinite(values).all() for values in exported.log_likelihood.values())
 
 
 def test_a_chain_without_its_fit_is_refused(known):
@@ -503,7 +528,8 @@ def test_a_chain_without_its_fit_is_refused(known):
 def test_correlated_noise_is_that_of_the_covariance():
     """Against the covariance in closed form: densities of each value given the others
     by Schur's complement, and the covariance of what is drawn."""
-    t, memory = np.array([0.0, 0.1, 0.3, 0.4, 0.9, 1.0]), 0.4
+    t = np.array([0.0, 0.1, 0.3, 0.4, 0.9, 1.0])
+    memory = 0.4
     weight = np.zeros((3, 8))
     weight[0, :6] = 10.0
     times = np.append(t, [1.0, 1.0])

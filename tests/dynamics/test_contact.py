@@ -136,11 +136,15 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
 
     def felt(p, law):
         stone = dataclasses.replace(STONE, R=p[-3])
-        found = jnp.stack(accelerations(law.from_vector(p), stone, load, p[-2], p[-1]))
-        return found, found
+        components = jnp.stack(
+            accelerations(law.from_vector(p), stone, load, p[-2], p[-1])
+        )
+        return components, components
 
     # derivatives, values
-    both = jax.jit(jax.jacfwd(felt, has_aux=True), static_argnames="law")
+    derivatives_and_values = jax.jit(
+        jax.jacfwd(felt, has_aux=True), static_argnames="law"
+    )
     for v, omega in [
         (2.0, 0.3),
         (2.0, -1.0),
@@ -150,7 +154,11 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
         (0.1, -40.0),
     ]:
         p = np.array([*values, STONE.R, v, omega])
-        for closed, summed in zip(both(p, kind), both(p, written), strict=True):
+        for closed, summed in zip(
+            derivatives_and_values(p, kind),
+            derivatives_and_values(p, written),
+            strict=True,
+        ):
             np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
 
 
@@ -163,11 +171,13 @@ def test_polynomials_are_the_traction_at_every_point(name, front):
     kind = LAWS[name]
     law = kind.from_vector([0.3 + 0.1 * k for k, _ in enumerate(kind.coefficients())])
     point = sample_points(front)
-    found = [
+    by_polynomials = [
         sum(value * at_points(point, powers) for powers, value in part.terms.items())
         for part in traction(law, "uniform", front, None, (1.0, 0.3, 0.4, 2.0))
     ]
-    np.testing.assert_allclose(found, law.traction(point), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        by_polynomials, law.traction(point), rtol=1e-12, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(
@@ -254,7 +264,8 @@ def test_any_friction_is_summed(uneven):
                 self.mu * (forward - (1 + more) * point.e_eta),
             )
 
-    v, u = 1.2, 0.5
+    v = 1.2
+    u = 0.5
     nodes, weights = np.polynomial.legendre.leggauss(200)
     ends = np.array([-np.pi, 0.0, 1.0, np.pi])  # between which no friction jumps
     half = np.diff(ends)[:, None] / 2
@@ -280,8 +291,8 @@ def test_any_friction_is_summed(uneven):
     )
     t_xi, t_eta = (part + 0 * a for part in Uneven(0.01).traction(point))
     exact = share @ np.stack([t_xi, t_eta, np.cos(a) * t_eta - np.sin(a) * t_xi], 1)
-    found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
-    np.testing.assert_allclose(found, exact, rtol=2e-6, atol=1e-10)
+    force = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
+    np.testing.assert_allclose(force, exact, rtol=2e-6, atol=1e-10)
     closed = {"ahead", "edged", "behind", "asking Python"}
     assert has_closed_form(Uneven, "uniform") == (uneven in closed)
 
@@ -307,9 +318,13 @@ def test_rest_pure_spin_and_no_spin_are_finite_with_derivatives_under_consistent
     def force(x):
         return sum(accelerations(FRONT_BACK, STONE, "consistent", x[0], x[1]))
 
-    both = jax.jit(lambda x: (*jax.value_and_grad(force)(x), jax.jacfwd(force)(x)))
+    value_and_slopes = jax.jit(
+        lambda x: (*jax.value_and_grad(force)(x), jax.jacfwd(force)(x))
+    )
     for motion in ((0.0, 0.0), (0.0, 3.0), (1.0, 0.0)):
-        assert all(np.isfinite(found).all() for found in both(np.array(motion)))
+        assert all(
+            np.isfinite(part).all() for part in value_and_slopes(np.array(motion))
+        )
 
 
 @numerical
@@ -319,8 +334,8 @@ def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
     )
     slopes_of = jax.jit(jax.vmap(jax.grad(power, (0, 1)), (0, None)))
     for exponent in (-0.7, -0.25, 0.0, 0.5, 1.0):
-        found = jax.jit(power)(base, exponent)
-        np.testing.assert_allclose(found, base**exponent, rtol=1e-13)
+        powers = jax.jit(power)(base, exponent)
+        np.testing.assert_allclose(powers, base**exponent, rtol=1e-13)
         slopes = slopes_of(base, exponent)
         np.testing.assert_allclose(
             slopes[0], exponent * base ** (exponent - 1), rtol=1e-13
@@ -347,11 +362,13 @@ def test_a_law_must_declare_its_coefficients():
 )
 def test_second_derivatives_under_a_consistent_load(name, values):
     def found(x):
-        law, stone = LAWS[name].from_vector(x), Stone(h=x[-1])
+        law = LAWS[name].from_vector(x)
+        stone = Stone(h=x[-1])
         return jnp.stack(accelerations(law, stone, "consistent", x[-3], x[-2]))
 
     jacobian = jax.jit(jax.jacfwd(found))
-    at, step = np.array([*values, 1.3, 2.0, 0.07]), 1e-5
+    at = np.array([*values, 1.3, 2.0, 0.07])
+    step = 1e-5
     difference = np.stack(
         [
             (jacobian(at + change) - jacobian(at - change)) / (2 * step)

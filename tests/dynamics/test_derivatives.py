@@ -19,7 +19,10 @@ pytestmark = pytest.mark.numerical
 
 PAPER = (0.0004, 0.0555, 0.009, 0.0083)
 FRONT_BACK = (0.005, 0.05, 0.009, 0.008)
-HEADING, V, OMEGA = 6, 7, 9  # among the parameters
+# among the parameters
+HEADING = 6
+V = 7
+OMEGA = 9
 ROWS = 61
 ENDS = [ROWS - 1, 2 * ROWS - 1, -1]
 """x and y at the last time, and the time of rest."""
@@ -36,13 +39,13 @@ def rows(times):
 
 def path(p, times, load, xp=np):
     """x, y, phi at the times, then the time of rest."""
-    stone, law = (
-        Stone(20.0, *(p[k] for k in (10, 11, 12))),
-        LAWS["front-back"].from_vector(p),
-    )
+    stone = Stone(20.0, *(p[k] for k in (10, 11, 12)))
+    law = LAWS["front-back"].from_vector(p)
     start = InitialState(*(p[4 + k] for k in range(6)))
-    found = simulate(law, stone, start, times, load=load, t0=0.0)
-    return xp.concatenate([found.x, found.y, found.phi, xp.asarray(found.rest)[None]])
+    motion = simulate(law, stone, start, times, load=load, t0=0.0)
+    return xp.concatenate(
+        [motion.x, motion.y, motion.phi, xp.asarray(motion.rest)[None]]
+    )
 
 
 @partial(jax.jit, static_argnames="load")
@@ -50,14 +53,14 @@ def derivatives(p, times, load="uniform"):
     """The path, its derivatives in forward mode, and those of the last row in
     reverse: the longest part, the integration with its tangents, is common to all
     modes of JAX."""
-    found, forward = jax.linearize(lambda p: path(p, times, load, jnp), p)
+    motion, forward = jax.linearize(lambda p: path(p, times, load, jnp), p)
     last = (
-        jnp.zeros((3, len(found)))
+        jnp.zeros((3, len(motion)))
         .at[jnp.arange(3), ROWS * jnp.arange(1, 4) - 1]
         .set(1.0)
     )
     (reverse,) = jax.vmap(jax.linear_transpose(forward, p))(last)
-    return found, jax.vmap(forward, out_axes=-1)(jnp.eye(len(p))), reverse
+    return motion, jax.vmap(forward, out_axes=-1)(jnp.eye(len(p))), reverse
 
 
 @pytest.mark.parametrize("mu", [0.003, 0.012, 0.2])
@@ -65,11 +68,13 @@ def derivatives(p, times, load="uniform"):
 def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
     heading = 0.1
     p = parameters((mu,) * 4, heading, v, 0.0)
-    way, time = v**2 / (2 * mu * G), v / (mu * G)
-    s, c = np.sin(heading), np.cos(heading)
-    found, slopes, _ = map(np.asarray, derivatives(p, rows([0.0, 1000.0])))
+    way = v**2 / (2 * mu * G)
+    time = v / (mu * G)
+    s = np.sin(heading)
+    c = np.cos(heading)
+    motion, slopes, _ = map(np.asarray, derivatives(p, rows([0.0, 1000.0])))
     np.testing.assert_allclose(
-        found[ENDS], [0.1 + way * s, 0.2 + way * c, time], rtol=1e-9
+        motion[ENDS], [0.1 + way * s, 0.2 + way * c, time], rtol=1e-9
     )
     exact = [
         [-way * s / mu, way * c, 2 * way * s / v],
@@ -109,12 +114,12 @@ def independent(p, times, load):
     asked = [0, 1, 2, 3, HEADING, V, OMEGA]
     steps = np.tile(p[:10, None], 1 + len(asked)).astype(np.clongdouble)
     steps[asked, np.arange(1, steps.shape[1])] += np.clongdouble(1j * program.TINY)
-    found, rest = program.extrapolated(
+    channels, rest = program.extrapolated(
         case, steps, np.asarray(times, np.longdouble), columns=5, least=1e-12, share=0.4
     )
-    both = np.concatenate([found.reshape(-1, steps.shape[1]), rest[None]])
-    slopes = (both[:, 1:].imag / program.TINY).astype(float)
-    return both[:, 0].real.astype(float), slopes, asked
+    motion = np.concatenate([channels.reshape(-1, steps.shape[1]), rest[None]])
+    slopes = (motion[:, 1:].imag / program.TINY).astype(float)
+    return motion[:, 0].real.astype(float), slopes, asked
 
 
 @pytest.mark.parametrize(
@@ -129,15 +134,16 @@ def independent(p, times, load):
 def test_rest_and_its_derivatives_agree_with_an_independent_integration(
     mu, v, omega, load
 ):
-    times, p = np.array([0.0, 0.5, 5.0, 200.0]), parameters(mu, 0.1, v, omega)
+    times = np.array([0.0, 0.5, 5.0, 200.0])
+    p = parameters(mu, 0.1, v, omega)
     exact, exact_slopes, asked = independent(p, times, load)
-    found, slopes, _ = map(np.asarray, derivatives(p, rows(times), load))
-    own = [*np.add.outer(ROWS * np.arange(3), np.arange(len(times))).ravel(), -1]
-    found, slopes = found[own], slopes[own][:, asked]
+    motion, slopes, _ = map(np.asarray, derivatives(p, rows(times), load))
+    entries = [*np.add.outer(ROWS * np.arange(3), np.arange(len(times))).ravel(), -1]
+    motion, slopes = motion[entries], slopes[entries][:, asked]
     size = max(np.abs(exact).max(), 50.0)  # m or rad
-    np.testing.assert_allclose(found[:-1], exact[:-1], rtol=0, atol=1e-8 * size)
+    np.testing.assert_allclose(motion[:-1], exact[:-1], rtol=0, atol=1e-8 * size)
     # s, at a speed of less than 1e-6 m/s
-    assert found[-1] == pytest.approx(exact[-1], abs=2e-6)
+    assert motion[-1] == pytest.approx(exact[-1], abs=2e-6)
     assert 0 < exact[-1] < 200  # it does come to rest
     # Each by each parameter, against the greatest of its kind. At rest those by a
     # friction across the motion that is zero are the least exact: 1.4e-5, all
@@ -151,15 +157,16 @@ def test_rest_and_its_derivatives_agree_with_an_independent_integration(
 
 
 def test_without_any_friction_nothing_is_lost():
-    heading, times = 0.1, np.array([0.0, 3.0, 10.0, 20.0])
+    heading = 0.1
+    times = np.array([0.0, 3.0, 10.0, 20.0])
     p = parameters((0.0,) * 4, heading, 6.0, 60.0)
-    found, slopes, _ = map(np.asarray, derivatives(p, rows(times)))
+    motion, slopes, _ = map(np.asarray, derivatives(p, rows(times)))
     along = slice(ROWS, ROWS + 4)
     np.testing.assert_allclose(
-        found[along], 0.2 + 6 * np.cos(heading) * times, rtol=1e-12
+        motion[along], 0.2 + 6 * np.cos(heading) * times, rtol=1e-12
     )
-    np.testing.assert_allclose(found[2 * ROWS :][:4], 0.2 + 60 * times, rtol=1e-12)
-    assert found[-1] == np.inf
+    np.testing.assert_allclose(motion[2 * ROWS :][:4], 0.2 + 60 * times, rtol=1e-12)
+    assert motion[-1] == np.inf
     assert np.isfinite(slopes[:-1]).all()
     # A little friction along the motion: -mu g t^2/2 times the mean of |e_eta|
     eps = p[10] * 60 / 6
@@ -181,7 +188,8 @@ def test_without_any_friction_nothing_is_lost():
     ],
 )
 def test_derivatives_agree_with_finite_differences(load, v, omega, until):
-    times, p = np.linspace(0, until, ROWS), parameters(PAPER, 0.1, v, omega, R=0.054)
+    times = np.linspace(0, until, ROWS)
+    p = parameters(PAPER, 0.1, v, omega, R=0.054)
     _, forward, reverse = map(np.asarray, derivatives(p, times, load))
     forward = forward[:-1].reshape(3, ROWS, -1)
     np.testing.assert_allclose(reverse, forward[:, -1], rtol=1e-12, atol=1e-12)
@@ -205,8 +213,8 @@ def test_derivatives_agree_with_finite_differences(load, v, omega, until):
 @pytest.mark.parametrize(("v", "omega"), [(2.0, 0.0), (0.0, 3.0), (0.0, 0.0)])
 def test_derivatives_stay_finite_at_the_edges(v, omega):
     p = parameters(PAPER, 0.1, v, omega)
-    found, forward, reverse = derivatives(p, np.linspace(0, 40, ROWS))
-    assert all(np.isfinite(values).all() for values in (found, forward[:-1], reverse))
+    motion, forward, reverse = derivatives(p, np.linspace(0, 40, ROWS))
+    assert all(np.isfinite(values).all() for values in (motion, forward[:-1], reverse))
 
 
 @pytest.mark.slow
@@ -216,17 +224,15 @@ def test_second_derivatives_agree_with_differences_of_the_first():
 
     def path(p):
         law = LAWS["front-back"](p[0], p[1], 0.009, 0.0083)
-        found = simulate(
+        motion = simulate(
             law, Stone(R=0.054), InitialState(heading=p[2], v=p[3], omega=p[4]), times
         )
-        return jnp.stack([found.x[1:], found.y[1:], found.phi[1:]])
+        return jnp.stack([motion.x[1:], motion.y[1:], motion.phi[1:]])
 
-    values, steps = (
-        np.array([0.002, 0.05, 0.1, 2.0, 1.2]),
-        [1e-5, 1e-4, 1e-4, 1e-4, 1e-4],
-    )
+    values = np.array([0.002, 0.05, 0.1, 2.0, 1.2])
+    steps = [1e-5, 1e-4, 1e-4, 1e-4, 1e-4]
     slope = jax.jit(jax.jacfwd(path))
-    found = jax.jit(jax.jacfwd(jax.jacfwd(path)))(values)
+    hessians = jax.jit(jax.jacfwd(jax.jacfwd(path)))(values)
     moves = np.diag(steps)
     differences = np.stack(
         [
@@ -235,5 +241,5 @@ def test_second_derivatives_agree_with_differences_of_the_first():
         ],
         -1,
     )
-    gap = np.abs(found - differences).max((0, 1)) / np.abs(differences).max((0, 1))
+    gap = np.abs(hessians - differences).max((0, 1)) / np.abs(differences).max((0, 1))
     assert gap.max() < 2e-6

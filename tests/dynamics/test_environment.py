@@ -67,8 +67,8 @@ def motion(mu, p, times):
 
 def moved(mu=PAPER, start=START, environment=LEVEL, times=TIMES):
     p = np.array([*vars(environment).values(), *start], float)
-    (found, rest), _ = motion(np.array(mu, float), p, np.array(times))
-    return np.asarray(found), float(rest)
+    (path, rest), _ = motion(np.array(mu, float), p, np.array(times))
+    return np.asarray(path), float(rest)
 
 
 SWEPT = (5.03, 9.41)
@@ -89,7 +89,8 @@ WORN = Environment(
 def integrated(environment, start, mu=PAPER, times=TIMES):
     """x, y, phi by scipy's method of order 8, and the last time, which is
     that of rest."""
-    law, first = LAW(*mu), start[2]
+    law = LAW(*mu)
+    first = start[2]
     k = 0.5 * AIR_DENSITY * FRONTAL_AREA / STONE.m * environment.drag
     knots = CubicSpline(
         [0.0, 10.0, 20.0, 30.0],
@@ -99,7 +100,8 @@ def integrated(environment, start, mu=PAPER, times=TIMES):
 
     def rates(_, state, sweep):
         x, y, v, beta, _, omega = state
-        s, c = np.sin(beta), np.cos(beta)
+        s = np.sin(beta)
+        c = np.cos(beta)
         a = friction(law, v=v, omega=omega)
         along = (x - start[0]) * np.sin(first) + (y - start[1]) * np.cos(first)
         factor = sweep * (1 + environment.wear * along + float(knots(along)))
@@ -116,12 +118,14 @@ def integrated(environment, start, mu=PAPER, times=TIMES):
         ]
 
     def rest(_, state, sweep):
-        v, u = state[2], STONE.rho * abs(state[5])
+        v = state[2]
+        u = STONE.rho * abs(state[5])
         return min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6))
 
     rest.terminal = True
     x, y, beta, v, phi, omega = start
-    state, found = [x, y, v, beta, phi, omega], np.empty((3, len(times)))
+    state = [x, y, v, beta, phi, omega]
+    path = np.empty((3, len(times)))
     swept = environment.swept_from < times[-1]
     ends = (0.0, *SWEPT, times[-1]) if swept else (0.0, times[-1])
     for number, (begin, end) in enumerate(pairwise(ends)):
@@ -138,9 +142,9 @@ def integrated(environment, start, mu=PAPER, times=TIMES):
         )
         assert part.success
         later = times >= begin
-        found[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
+        path[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
         state = part.y[:, -1]
-    return found, part.t[-1]
+    return path, part.t[-1]
 
 
 @pytest.mark.parametrize(
@@ -152,9 +156,9 @@ def integrated(environment, start, mu=PAPER, times=TIMES):
     ],
 )
 def test_path_to_rest_agrees_with_order_8_integration(environment, start):
-    found, rest = moved(start=start, environment=environment)
+    path, rest = moved(start=start, environment=environment)
     exact, end = integrated(environment, start)
-    assert np.abs(found[:3] - exact).max() < 1e-7  # m, m, rad
+    assert np.abs(path[:3] - exact).max() < 1e-7  # m, m, rad
     assert rest == pytest.approx(end, abs=1e-5)
 
 
@@ -166,58 +170,63 @@ def test_path_to_rest_agrees_with_order_8_integration(environment, start):
 def test_path_of_a_swept_stone_on_worn_ice_agrees_with_integration_in_pieces(
     environment, error
 ):
-    times, start = TIMES / 2, (0.0, 0.0, 0.3, 2.06, 0.0, 1.005)
-    found, _ = moved(start=start, environment=environment, times=times)
+    times = TIMES / 2
+    start = (0.0, 0.0, 0.3, 2.06, 0.0, 1.005)
+    path, _ = moved(start=start, environment=environment, times=times)
     assert (
-        np.abs(found[:3] - integrated(environment, start, times=times)[0]).max() < error
+        np.abs(path[:3] - integrated(environment, start, times=times)[0]).max() < error
     )
 
 
 def test_sweeping_and_times_are_counted_from_the_same_zero():
-    one, rest = moved(environment=WORN)
+    early_path, rest = moved(environment=WORN)
     later = replace(WORN, swept_from=64 + SWEPT[0], swept_to=64 + SWEPT[1])
     path = simulate(
         LAW(*PAPER), STONE, InitialState(*START), 64 + TIMES, environment=later
     )
-    np.testing.assert_allclose(np.stack([path.x, path.y]), one[:2], atol=1e-12)
+    np.testing.assert_allclose(np.stack([path.x, path.y]), early_path[:2], atol=1e-12)
     assert path.rest == pytest.approx(64 + rest, abs=1e-9)
 
 
 def test_constant_friction_and_a_slope_along_the_throw_decelerate_uniformly():
-    mu, slope, v = 0.012, 2e-3, 1.7
+    mu = 0.012
+    slope = 2e-3
+    v = 1.7
     loss = G * (mu - slope)
-    found, rest = moved((mu,) * 4, (0, 0, 0, v, 0, 0), Environment(slope_y=slope))
+    path, rest = moved((mu,) * 4, (0, 0, 0, v, 0, 0), Environment(slope_y=slope))
     t = np.minimum(TIMES, v / loss)
-    np.testing.assert_allclose(found[1], v * t - loss * t**2 / 2, atol=1e-8)
-    np.testing.assert_allclose(found[4], v - loss * t, atol=1e-7)
-    np.testing.assert_allclose(found[0], 0, atol=1e-14)
+    np.testing.assert_allclose(path[1], v * t - loss * t**2 / 2, atol=1e-8)
+    np.testing.assert_allclose(path[4], v - loss * t, atol=1e-7)
+    np.testing.assert_allclose(path[0], 0, atol=1e-14)
     assert rest == pytest.approx(v / loss, abs=1e-6)
 
 
 def test_without_friction_a_stone_falls_as_a_stone_thrown_in_vacuum():
     """slope_x > 0 falls to the right, slope_y > 0 along the throw; the spin stays."""
-    found, _ = moved((0,) * 4, START, Environment(3e-4, 2e-4))
+    path, _ = moved((0,) * 4, START, Environment(3e-4, 2e-4))
     x, y, beta, v, phi, omega = START
     np.testing.assert_allclose(
-        found[0], x + v * np.sin(beta) * TIMES + G * 3e-4 * TIMES**2 / 2, atol=1e-7
+        path[0], x + v * np.sin(beta) * TIMES + G * 3e-4 * TIMES**2 / 2, atol=1e-7
     )
     np.testing.assert_allclose(
-        found[1], y + v * np.cos(beta) * TIMES + G * 2e-4 * TIMES**2 / 2, atol=1e-7
+        path[1], y + v * np.cos(beta) * TIMES + G * 2e-4 * TIMES**2 / 2, atol=1e-7
     )
-    np.testing.assert_allclose(found[2], phi + omega * TIMES, atol=1e-9)
+    np.testing.assert_allclose(path[2], phi + omega * TIMES, atol=1e-9)
 
 
 def test_the_air_alone_slows_with_the_square_of_the_speed():
-    drag, v = 5.0, 2.5
-    found, _ = moved((0,) * 4, (0, 0, 0, v, 0, 1), Environment(drag=drag))
+    drag = 5.0
+    v = 2.5
+    path, _ = moved((0,) * 4, (0, 0, 0, v, 0, 1), Environment(drag=drag))
     k = Environment(drag=drag).drag_rate(STONE.m)
     assert k == pytest.approx(0.5 * 1.27 * (0.914 / np.pi * 0.114) * drag / 19.0)
-    np.testing.assert_allclose(found[4], v / (1 + k * v * TIMES), atol=1e-8)
-    np.testing.assert_allclose(found[1], np.log1p(k * v * TIMES) / k, atol=1e-7)
+    np.testing.assert_allclose(path[4], v / (1 + k * v * TIMES), atol=1e-8)
+    np.testing.assert_allclose(path[1], np.log1p(k * v * TIMES) / k, atol=1e-7)
 
 
 def test_derivatives_agree_with_finite_differences():
-    p, mu = np.array([*vars(WORN).values(), *START], float), np.array(PAPER)
+    p = np.array([*vars(WORN).values(), *START], float)
+    mu = np.array(PAPER)
 
     def places(p):
         return np.asarray(motion(mu, p, TIMES)[0][0][:3])
@@ -234,8 +243,9 @@ def test_derivatives_agree_with_finite_differences():
 
 @pytest.mark.parametrize("heading", [None, 0.05])
 def test_aim_on_sloping_ice_comes_to_rest_on_the_target(heading):
-    environment, target = Environment(1e-3, -5e-4, 0.8), (0.4, 25.0)
-    found = aim(
+    environment = Environment(1e-3, -5e-4, 0.8)
+    target = (0.4, 25.0)
+    release = aim(
         LAW(*PAPER),
         STONE,
         target,
@@ -245,19 +255,20 @@ def test_aim_on_sloping_ice_comes_to_rest_on_the_target(heading):
         environment=environment,
     )
     path, _ = moved(
-        start=(0.1, -3.0, found.heading, found.v0, 0.0, 1.2), environment=environment
+        start=(0.1, -3.0, release.heading, release.v0, 0.0, 1.2),
+        environment=environment,
     )
     assert path[1, -1] == pytest.approx(25.0, abs=5e-8)
     if heading is None:
         assert path[0, -1] == pytest.approx(0.4, abs=5e-8)
     else:
-        assert found.heading == heading
+        assert release.heading == heading
     level = aim(
         LAW(*PAPER), STONE, target, omega0=1.2, start=(0.1, -3.0), heading=heading
     )
-    assert found.v0 > level.v0 + 0.01  # uphill, and through the air
+    assert release.v0 > level.v0 + 0.01  # uphill, and through the air
     if heading is None:
-        assert found.heading < level.heading - 1e-3  # the ice falls to the right
+        assert release.heading < level.heading - 1e-3  # the ice falls to the right
 
 
 def test_friction_along_the_sheet_is_a_natural_spline():
@@ -268,11 +279,11 @@ def test_friction_along_the_sheet_is_a_natural_spline():
     environment = Environment(wear_10=values[0], wear_20=values[1], wear_30=values[2])
     slope, *bends = environment.wear_along()
     y = np.linspace(0.0, 30.0, 31)
-    found = sum(
+    curved_part = sum(
         bend * np.maximum(y - k, 0) ** 3
         for bend, k in zip(bends, WEAR_KNOTS, strict=True)
     )
-    np.testing.assert_allclose(slope * y + found, knots(y), atol=1e-13)
+    np.testing.assert_allclose(slope * y + curved_part, knots(y), atol=1e-13)
     assert sum(bends) == pytest.approx(0.0, abs=1e-15)
     straight = Environment(wear_10=0.1, wear_20=0.2, wear_30=0.3).wear_along()
     assert straight == pytest.approx(Environment(wear=0.01).wear_along(), abs=1e-15)

@@ -64,17 +64,17 @@ def honest(result, start):
     of the truth."""
     assert result.converged, result.status
     truth = dict(zip(NAMES, FRONT_BACK, strict=True)) | start
-    told = set()
-    for name, item in result.parameters.items():
-        assert np.isfinite(item.value)
-        if item.verdict == "determined" and name in truth:
-            assert abs(item.value - truth[name]) < 4.5 * item.stderr, name
-            told.add(name)
-    for item in result.combinations:
-        if item.expression == "mu1_eta + mu2_eta":
-            assert abs(item.value - 0.017) < 4.5 * item.stderr
-            told.add(item.expression)
-    return told
+    determined = set()
+    for name, quantity in result.parameters.items():
+        assert np.isfinite(quantity.value)
+        if quantity.verdict == "determined" and name in truth:
+            assert abs(quantity.value - truth[name]) < 4.5 * quantity.stderr, name
+            determined.add(name)
+    for quantity in result.combinations:
+        if quantity.expression == "mu1_eta + mu2_eta":
+            assert abs(quantity.value - 0.017) < 4.5 * quantity.stderr
+            determined.add(quantity.expression)
+    return determined
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_what_a_fit_says_of_hard_data_is_so(rate, until, start, told, seed):
     )
     # no one throws a stone that spins so
     throw = replace(throw, defaults={"as_given": True})
-    found = honest(fit(throw, stone=STONE), start)
-    assert found >= told
+    determined = honest(fit(throw, stone=STONE), start)
+    assert determined >= told
     if start["omega0"] == 0:  # friction across the motion needs spin to show
-        assert not {"mu1_xi", "mu2_xi"} & found
+        assert not {"mu1_xi", "mu2_xi"} & determined

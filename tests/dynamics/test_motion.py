@@ -80,14 +80,16 @@ def test_first_order_law_agrees_with_its_closed_form():
     times = np.linspace(0, 21, ROWS)
     path = simulate(law, STONE, InitialState(v=2.06, omega=1.005), times)
     exact = first_order_motion(law, STONE, 2.06, 1.005, times)
-    for name, own in (
+    for name, symbol in (
         ("x", "x"),
         ("y", "y"),
         ("phi", "phi"),
         ("speed", "v"),
         ("omega", "omega"),
     ):
-        np.testing.assert_allclose(getattr(path, name), getattr(exact, own), atol=5e-8)
+        np.testing.assert_allclose(
+            getattr(path, name), getattr(exact, symbol), atol=5e-8
+        )
 
 
 def test_closed_form_has_no_meaning_after_the_stop():
@@ -99,22 +101,25 @@ def test_closed_form_has_no_meaning_after_the_stop():
 
 def test_turned_and_shifted_throws_have_the_same_path():
     times = np.linspace(0, 30, ROWS)
-    one = simulate(
+    path = simulate(
         FRONT_BACK, STONE, InitialState(v=2.0, heading=0.2, omega=2.0), times
     )
-    moved = simulate(
+    shifted = simulate(
         FRONT_BACK,
         STONE,
         InitialState(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
         times + 100,
     )
-    s, c = np.sin(0.5), np.cos(0.5)  # heading turns from +y toward +x
-    exact = [3 + c * one.x + s * one.y, -7 - s * one.x + c * one.y, 40 + one.phi]
-    np.testing.assert_allclose(places(moved), exact, atol=1e-12)
+    # heading turns from +y toward +x
+    s = np.sin(0.5)
+    c = np.cos(0.5)
+    exact = [3 + c * path.x + s * path.y, -7 - s * path.x + c * path.y, 40 + path.phi]
+    np.testing.assert_allclose(places(shifted), exact, atol=1e-12)
 
 
 def test_rest_is_held_and_order_of_times_does_not_matter():
-    times, start = [50.0, 0.0, 24.0, 26.0, 3.0, 100.0], InitialState(v=2.06, omega=1.0)
+    times = [50.0, 0.0, 24.0, 26.0, 3.0, 100.0]
+    start = InitialState(v=2.06, omega=1.0)
     path = moved(FRONT_BACK, start, times, t0=0.0)
     assert path.x[0] == path.x[5] == path.x[3]
     assert path.speed[0] == 0

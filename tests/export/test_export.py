@@ -32,8 +32,8 @@ def folder(tmp_path_factory, eq12, eq12_fit):
     for name in ("plain", "joint", "joint/a", "joint/b", "sampled"):
         (folder / name).mkdir()
     joint.save(folder / "joint" / "joint.json")
-    for name, one in zip("ab", joint.throws, strict=True):
-        one.save(folder / "joint" / name / "fit.json")
+    for name, throw_fit in zip("ab", joint.throws, strict=True):
+        throw_fit.save(folder / "joint" / name / "fit.json")
     eq12_fit.with_derived(["mu2_xi - mu1_xi", "mu1_eta/mu2_eta"]).save(
         folder / "plain/fit.json"
     )
@@ -49,8 +49,8 @@ def rows(text):
 
 def test_parameters_are_those_of_the_fit(eq12_fit):
     fit = eq12_fit.with_derived(["mu2_xi - mu1_xi"])
-    found = {row["name"]: row for row in rows(parameters_csv(fit))}
-    assert list(found)[:5] == [
+    row_of = {row["name"]: row for row in rows(parameters_csv(fit))}
+    assert list(row_of)[:5] == [
         "mu1_xi",
         "mu2_xi",
         "mu1_eta",
@@ -58,27 +58,28 @@ def test_parameters_are_those_of_the_fit(eq12_fit):
         "mu1_eta + mu2_eta",
     ]
     for name in ("mu2_xi", "v0", "mu1_eta + mu2_eta", "mu2_xi - mu1_xi"):
-        row, item = found[name], fit[name]
-        assert float(row["value"]) == item.value
-        assert float(row["stderr"]) == item.stderr
-        assert (float(row["low_95"]), float(row["high_95"])) == item.interval()
-    assert found["mu1_eta"] | {"unit": ""} == dict.fromkeys(found["mu1_eta"], "") | {
+        row = row_of[name]
+        estimate = fit[name]
+        assert float(row["value"]) == estimate.value
+        assert float(row["stderr"]) == estimate.stderr
+        assert (float(row["low_95"]), float(row["high_95"])) == estimate.interval()
+    assert row_of["mu1_eta"] | {"unit": ""} == dict.fromkeys(row_of["mu1_eta"], "") | {
         "name": "mu1_eta",
         "verdict": "not identifiable",
     }
-    assert float(found["mu2_xi"]["systematic"]) == fit.systematics.errors["mu2_xi"]
-    assert float(found["curl"]["value"]) == fit.quantities["curl"].value
+    assert float(row_of["mu2_xi"]["systematic"]) == fit.systematics.errors["mu2_xi"]
+    assert float(row_of["curl"]["value"]) == fit.quantities["curl"].value
 
 
 def test_the_path_has_its_residuals(eq12_fit):
-    found = rows(path_csv([eq12_fit]))
-    assert len(found) == 201
+    table = rows(path_csv([eq12_fit]))
+    assert len(table) == 201
     for name in ("x", "y", "phi"):
-        seen, fitted, left = (
-            np.array([float(row[key]) for row in found])
+        observed, fitted, left = (
+            np.array([float(row[key]) for row in table])
             for key in (name, f"{name}_fitted", f"{name}_residual")
         )
-        np.testing.assert_array_equal(seen, eq12_fit.observed[name])
+        np.testing.assert_array_equal(observed, eq12_fit.observed[name])
         np.testing.assert_array_equal(fitted, eq12_fit.fitted[name])
         np.testing.assert_array_equal(left, eq12_fit.residuals[name])
     gap = eq12_fit.observed | {
@@ -88,7 +89,7 @@ def test_the_path_has_its_residuals(eq12_fit):
 
 
 def test_every_form_is_written(typed, folder):
-    said = typed(
+    output = typed(
         "export",
         "plain",
         "--to",
@@ -101,14 +102,14 @@ def test_every_form_is_written(typed, folder):
         "one",
     )
     names = ["parameters.csv", "path.csv", "fit.json", "table.tex"]
-    assert said == "Written: " + ", ".join(f"one/{name}" for name in names) + "\n"
+    assert output == "Written: " + ", ".join(f"one/{name}" for name in names) + "\n"
     shown = json.loads(typed("show", "plain", "--json"))
     assert json.loads((folder / "one/fit.json").read_text()) == shown
     typed("export", "joint", "--to", "csv", "--to", "latex", "--to", "json")
-    found = rows((folder / "joint-export/parameters.csv").read_text())
-    assert [row["throw"] for row in found if row["name"] == "mu2_xi"] == ["all"]
-    assert [row["throw"] for row in found if row["name"] == "v0"] == ["a.csv", "b.csv"]
-    shared = [row["name"] for row in found if row["throw"] == "all"]
+    table = rows((folder / "joint-export/parameters.csv").read_text())
+    assert [row["throw"] for row in table if row["name"] == "mu2_xi"] == ["all"]
+    assert [row["throw"] for row in table if row["name"] == "v0"] == ["a.csv", "b.csv"]
+    shared = [row["name"] for row in table if row["throw"] == "all"]
     assert shared[-2:] == ["mu1_eta + mu2_eta", "mu2_xi*g"]
     path = rows((folder / "joint-export/path.csv").read_text())
     assert {row["throw"] for row in path} == {"a.csv", "b.csv"}
@@ -150,8 +151,8 @@ NETCDF = ("export", "sampled", "--to", "netcdf", "--out", "out")
 def test_on_a_full_disk_no_half_file_is_left(folder, words, file, left):
     run = started(*words, cwd=folder, room=6000)
     _, err = run.communicate(timeout=100)
-    said = f"curlfit: {file}: cannot be written (File too large)\n"
-    assert (run.returncode, err) == (2, said)
+    message = f"curlfit: {file}: cannot be written (File too large)\n"
+    assert (run.returncode, err) == (2, message)
     names = [path.name for path in (folder / file).parent.iterdir()]
     assert set(names) >= set(left)
     assert not [name for name in names if name.startswith(".") or name in file]
@@ -185,8 +186,8 @@ def test_priors_and_likelihood_are_those_of_the_chain(eq12):
             prior[name] - prior[name].mean(), expected - expected.mean(), atol=1e-9
         )
     sense = getattr(arviz, "psense", None) or arviz.psens
-    found = sense(data)
-    assert max(found, key=lambda name: float(found[name])) == "mu2_xi"
+    sensitivity = sense(data)
+    assert max(sensitivity, key=lambda name: float(sensitivity[name])) == "mu2_xi"
 
 
 # --- LaTeX, read by a strict parser
@@ -220,9 +221,12 @@ _KNOWN = {
 def cells(text):
     """Rows of the table's cells; fails where TeX would."""
     body = re.sub(r"(?<!\\)%.*", "", text)
-    depth, math, opened, bare = 0, False, [], []
+    depth = 0
+    math = False
+    opened = []
+    bare = []
     tokens = re.findall(r"\\[a-zA-Z]+|\\.|\\\n|.|\n", body)
-    for place, token in enumerate(tokens):
+    for position, token in enumerate(tokens):
         if token == "{":
             depth += 1
         elif token == "}":
@@ -231,7 +235,7 @@ def cells(text):
             math = not math
         elif token in ("_", "^"):
             assert math, f"{token} outside of mathematics"
-            bare.append(place)
+            bare.append(position)
         elif token == "#":
             raise AssertionError("a bare #")
         elif re.fullmatch(r"\\[a-zA-Z]+", token):
@@ -244,8 +248,8 @@ def cells(text):
         assert depth >= 0
     assert (depth, math) == (0, False)
     # no two subscripts of one symbol
-    for one in re.findall(r"(?<!\\)\$(.*?)(?<!\\)\$", body):
-        assert not re.search(r"_\w+_|_\{[^}]*\}_", one.replace(r"\_", "")), one
+    for formula in re.findall(r"(?<!\\)\$(.*?)(?<!\\)\$", body):
+        assert not re.search(r"_\w+_|_\{[^}]*\}_", formula.replace(r"\_", "")), formula
     for kind, name in re.findall(r"\\(begin|end)\{(\w+)\}", body):
         if kind == "begin":
             opened.append(name)
@@ -256,11 +260,11 @@ def cells(text):
     inside = body[body.index(r"\toprule") + 8 : body.index(r"\bottomrule")].replace(
         r"\midrule", ""
     )
-    found = [
+    table = [
         re.split(r"(?<!\\)&", row) for row in re.split(r"\\\\\n", inside) if row.strip()
     ]
-    assert {len(row) for row in found} == {len(spec.split())}
-    return [[cell.strip() for cell in row] for row in found]
+    assert {len(row) for row in table} == {len(spec.split())}
+    return [[cell.strip() for cell in row] for row in table]
 
 
 def test_the_table_of_a_paper(eq12_fit):
@@ -268,22 +272,22 @@ def test_the_table_of_a_paper(eq12_fit):
     text = estimates_table(eq12_fit.with_derived(["mu2_xi - mu1_xi", "sqrt(mu1_xi)"]))
     head, *body = cells(text)
     assert head == ["parameter", "estimate", "systematic", "unit"]
-    found = {row[0]: row[1:] for row in body}
-    assert found[r"$\mu_{2\xi}$"][:2] == ["$0.055627(25)$", "$0.0052$"]
-    assert found[r"$\mu_{1\eta}$"] == ["not identifiable", "", ""]
-    assert found[r"$\mu_{1\eta} + \mu_{2\eta}$"][0] == "$0.017573(16)$"
-    assert found[r"$v_0$"][2] == r"$\mathrm{m}\,\mathrm{s}^{-1}$"
-    assert r"$\mu_{2\xi}-\mu_{1\xi}$" in found
-    assert r"\texttt{sqrt(mu1\_xi)}" in found
+    row_of = {row[0]: row[1:] for row in body}
+    assert row_of[r"$\mu_{2\xi}$"][:2] == ["$0.055627(25)$", "$0.0052$"]
+    assert row_of[r"$\mu_{1\eta}$"] == ["not identifiable", "", ""]
+    assert row_of[r"$\mu_{1\eta} + \mu_{2\eta}$"][0] == "$0.017573(16)$"
+    assert row_of[r"$v_0$"][2] == r"$\mathrm{m}\,\mathrm{s}^{-1}$"
+    assert r"$\mu_{2\xi}-\mu_{1\xi}$" in row_of
+    assert r"\texttt{sqrt(mu1\_xi)}" in row_of
     curl = eq12_fit.quantities["curl"].value
     assert curl < 0
-    (said,) = (
+    (curl_text,) = (
         cell
-        for name, (cell, *_) in found.items()
+        for name, (cell, *_) in row_of.items()
         if name.startswith("curl to the left")
     )
-    assert said.startswith(f"${-curl:.4f}")
-    assert not any("to the right" in name for name in found)
+    assert curl_text.startswith(f"${-curl:.4f}")
+    assert not any("to the right" in name for name in row_of)
     assert (
         r"the front-back law under uniform load, fitted to jensen\_shegelski\_2004.csv"
         in text
@@ -305,9 +309,9 @@ def test_names_that_tex_would_trip_over(eq12_fit):
         data=replace(eq12_fit.data, file="a/b & ~c^2$%_{.csv"),
         parameters={"a_b_c": odd} | eq12_fit.parameters,
     )
-    found = {row[0]: row for row in cells(estimates_table(fit))}
-    assert found[r"$\mathrm{a\_b\_c}$"][-1] == r"$\mathrm{m}^{-2}$"
-    assert r"\times 10^{12}" in found[r"$\mathrm{a\_b\_c}$"][1]
+    row_of = {row[0]: row for row in cells(estimates_table(fit))}
+    assert row_of[r"$\mathrm{a\_b\_c}$"][-1] == r"$\mathrm{m}^{-2}$"
+    assert r"\times 10^{12}" in row_of[r"$\mathrm{a\_b\_c}$"][1]
 
 
 def test_a_joint_fit_and_a_posterior_in_latex(folder):
@@ -340,7 +344,7 @@ def test_a_comparison(eq12_fit):
         rank=1,
     )
     failed = Candidate("radial", "-", False, True, "no motion", follows=None)
-    found = Comparison(
+    comparison = Comparison(
         data=replace(eq12_fit.data, file="a_b.csv"),
         stone=eq12_fit.stone,
         curl=0.1,
@@ -348,11 +352,11 @@ def test_a_comparison(eq12_fit):
         candidates=(fitted, failed),
         observed={},
     )
-    _, first, second = cells(candidates_table(found))
+    _, first, second = cells(candidates_table(comparison))
     assert first[:5] == ["front-back", "uniform", "11", "$0.0$", "$-1.5$"]
     assert first[5:] == ["$1$", "$20$", "$3$", "yes"]
     assert second == ["radial (any sign)", "--", *[""] * 6, "no fit"]
-    one, other = rows(candidates_csv(found))
-    told = one["law"], one["rms_y"], one["coefficients"]
-    assert told == ("front-back", "0.02", "mu1_xi = 0.0005")
-    assert other["rank"] == other["rms_x"] == ""
+    fitted_row, failed_row = rows(candidates_csv(comparison))
+    entries = fitted_row["law"], fitted_row["rms_y"], fitted_row["coefficients"]
+    assert entries == ("front-back", "0.02", "mu1_xi = 0.0005")
+    assert failed_row["rank"] == failed_row["rms_x"] == ""

@@ -46,13 +46,13 @@ def table(eq12_fit):
 @pytest.fixture(scope="module")
 def ends(eq12_fit):
     """Where the law brings the throws to rest, and where they are after 10 s."""
-    found = []
+    positions = []
     for v, omega, heading in THROWS:
         start = InitialState(x=0.3, y=1.0, v=v, omega=omega, heading=heading)
         times = np.array([0.0, 10.0, np.inf])
         path = simulate(eq12_fit.fitted_law, eq12_fit.stone, start, times).to_numpy()
-        found.append([[path.x[k], path.y[k], path.phi[k]] for k in (1, 2)])
-    return np.array(found)
+        positions.append([[path.x[k], path.y[k], path.phi[k]] for k in (1, 2)])
+    return np.array(positions)
 
 
 def started(v, omega, heading):
@@ -62,7 +62,8 @@ def started(v, omega, heading):
 def test_the_table_is_the_ring_s_force(eq12_fit, table):
     """By the dense sum over the ring of the tests, which shares no code
     with the model."""
-    law, R = eq12_fit.fitted_law, eq12_fit.stone.R
+    law = eq12_fit.fitted_law
+    R = eq12_fit.stone.R
     ring = Reference(
         front_back(law.mu1_xi, law.mu2_xi, law.mu1_eta, law.mu2_eta),
         R=R,
@@ -107,12 +108,13 @@ def test_a_throw_comes_to_rest_where_the_law_brings_it(table, ends):
 
 
 def test_swept_ice_and_the_length_of_a_step(table):
-    law = started(2.0, 1.0, 0.0)
-    (a, b), short = (table.step(law, 2.0, friction) for friction in (1.0, 0.5)), law
+    start = started(2.0, 1.0, 0.0)
+    a, b = (table.step(start, 2.0, friction) for friction in (1.0, 0.5))
+    short = start
     for _ in range(2000):
         short = table.step(short, 0.001)
     np.testing.assert_allclose(short, a, atol=1e-7)
-    lost = [2.0 - math.hypot(one.vx, one.vy) for one in (a, b)]
+    lost = [2.0 - math.hypot(stone.vx, stone.vy) for stone in (a, b)]
     assert lost[1] == pytest.approx(lost[0] / 2, rel=0.02)
 
 
@@ -163,15 +165,15 @@ def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, langu
     words = compiled_as(language, tmp_path, table)
     for throw, (_, end) in zip(THROWS, ends, strict=True):
         for dt in (0.001, 1 / 60):
-            found = ran(words, throw, dt)
+            printed = ran(words, throw, dt)
             np.testing.assert_allclose(
-                found[:3], table.accelerations(0.7, throw[1]), rtol=1e-9, atol=1e-12
+                printed[:3], table.accelerations(0.7, throw[1]), rtol=1e-9, atol=1e-12
             )
             assert (
-                math.hypot(found[3] - end[0], found[4] - end[1])
+                math.hypot(printed[3] - end[0], printed[4] - end[1])
                 < 2 * table.resting_place
             )
-            assert found[6] == 0
+            assert printed[6] == 0
 
 
 def test_frames_as_in_digitalcurling_end_there_too(tmp_path, table, ends):
@@ -193,7 +195,9 @@ def test_the_record_is_complete(table):
     rows, columns = record["coordinates"]["intervals"]
     angular = np.array(record["angular"])
     assert angular.shape == (rows + 3, columns + 3)
-    R, v, k = record["stone"]["R"], 0.9, 11
+    R = record["stone"]["R"]
+    v = 0.9
+    k = 11
     # at a node: the angle whose p belongs to column k of the second half
     side_p = 4 * (columns // 2 + k) / columns - 3
     g = np.roots([1 / 15, 0, 0, 0, 0, 0, 14 / 15, -side_p])  # in cbrt(g)
@@ -206,46 +210,46 @@ def test_the_record_is_complete(table):
 
 def of_law(fit, law, load="uniform"):
     """The fit, as it would be of another law."""
-    item = fit.parameters["mu1_xi"]
-    own = {
-        one.name: replace(item, value=one.default)
-        for one in find_law(law).coefficients()
+    estimate = fit.parameters["mu1_xi"]
+    coefficients = {
+        coefficient.name: replace(estimate, value=coefficient.default)
+        for coefficient in find_law(law).coefficients()
     }
-    others = {
-        name: one
-        for name, one in fit.parameters.items()
+    initial_state = {
+        name: parameter
+        for name, parameter in fit.parameters.items()
         if name not in fit.coefficients
     }
-    return replace(fit, law=law, load=load, parameters=own | others)
+    return replace(fit, law=law, load=load, parameters=coefficients | initial_state)
 
 
 def with_conditions(fit, **values):
-    item = fit.parameters["mu1_xi"]
+    estimate = fit.parameters["mu1_xi"]
     more = {
-        one.name: replace(
-            item,
-            value=values[one.name],
+        condition.name: replace(
+            estimate,
+            value=values[condition.name],
             verdict=Verdict.FIXED,
-            lower=one.lower,
-            upper=one.upper,
+            lower=condition.lower,
+            upper=condition.upper,
         )
-        for one in CONDITIONS
-        if one.name in values
+        for condition in CONDITIONS
+        if condition.name in values
     }
     return replace(
         fit,
         parameters=fit.coefficients
         | more
         | {
-            name: one
-            for name, one in fit.parameters.items()
+            name: parameter
+            for name, parameter in fit.parameters.items()
             if name not in fit.coefficients
         },
     )
 
 
 def test_what_no_table_holds_is_refused(eq12_fit):
-    for fit, said in (
+    for fit, message in (
         (of_law(eq12_fit, "debris"), "depends on the angle turned"),
         (of_law(eq12_fit, "semi-empirical"), "has no contact ring"),
         (
@@ -257,7 +261,7 @@ def test_what_no_table_holds_is_refused(eq12_fit):
             r"changes along the throw \(wear_20 = 0.02\)",
         ),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             tabulate(fit)
 
 
@@ -272,10 +276,10 @@ def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
     done = command("export", "fit.json", *forms, "--out", "game", cwd=tmp_path)
     record = json.loads((tmp_path / "game" / "accelerations.json").read_text())
     assert record["not_included"] == {"slope_x": 1.25e-4, "drag": 0.8, "sweep": 0.9}
-    said = "Not included from the fit: slope_x = 0.000125, drag = 0.8, sweep = 0.9."
+    sentence = "Not included from the fit: slope_x = 0.000125, drag = 0.8, sweep = 0.9."
     for name in ("curlfit_stone.h", "curlfit_stone.mjs"):
-        assert said in (tmp_path / "game" / name).read_text()
-    assert said in done.stdout
+        assert sentence in (tmp_path / "game" / name).read_text()
+    assert sentence in done.stdout
 
 
 @pytest.mark.slow
@@ -283,11 +287,11 @@ def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
 @pytest.mark.parametrize("law", RINGS)
 def test_every_law_of_the_ring(eq12_fit, law, load):
     fit = of_law(eq12_fit, law, load)
-    found = tabulate(fit)
-    assert found.resting_place < CM
+    tabulated = tabulate(fit)
+    assert tabulated.resting_place < CM
     start = InitialState(v=2.2, omega=1.7)
     end = simulate(
         fit.fitted_law, fit.stone, start, np.array([0.0, np.inf]), load=load
     ).to_numpy()
-    stone = found.step(Moved(0, 0, 0, 2.2, 0, 1.7), 100.0)
+    stone = tabulated.step(Moved(0, 0, 0, 2.2, 0, 1.7), 100.0)
     assert math.hypot(stone.x - end.x[-1], stone.y - end.y[-1]) < CM

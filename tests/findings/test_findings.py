@@ -27,8 +27,10 @@ def test_every_code_has_words_and_every_words_are_said():
     remedies = WORDS["remedies"]
     for code in [*messages(), *remedies]:
         assert f'"{code}"' in source, code
-    said = re.findall(r'Finding\.(?:warning|note|refusal)\(\s*"([^"]+)"', source)
-    assert set(said) <= messages().keys()
+    finding_codes = re.findall(
+        r'Finding\.(?:warning|note|refusal)\(\s*"([^"]+)"', source
+    )
+    assert set(finding_codes) <= messages().keys()
     proposed = re.findall(r'\bRemedy\(\s*"([^"]+)"', source)
     assert set(proposed) <= remedies.keys()
     for code, message in messages().items():
@@ -70,12 +72,12 @@ def test_throws_that_a_finding_is_about_come_first():
 
 
 def test_findings_compare_by_what_they_say():
-    one = Finding.warning("outliers", count=1, channel="x", t=2.5, line=7, sigmas=13.0)
-    other = Finding.warning(
+    finding = Finding.warning(
         "outliers", count=1, channel="x", t=2.5, line=7, sigmas=13.0
     )
-    assert list(dict.fromkeys([one, other])) == [one]
-    assert replace(one, numbers=one.numbers | {"t": 3.0}) != one
+    twin = Finding.warning("outliers", count=1, channel="x", t=2.5, line=7, sigmas=13.0)
+    assert list(dict.fromkeys([finding, twin])) == [finding]
+    assert replace(finding, numbers=finding.numbers | {"t": 3.0}) != finding
 
 
 @pytest.mark.parametrize(
@@ -102,10 +104,10 @@ def test_an_option_is_written_as_it_is_typed(option, typed):
 @pytest.fixture(scope="module")
 def record():
     """A saved fit that has warnings."""
-    fit = curlfit.load_throw(Path(__file__).parents[2] / "data/without_angle.csv")
-    made = curlfit.fit(fit, "front-back", details=False)
-    assert {"two-solutions", "curve"} <= {item.code for item in made.warnings}
-    return made
+    throw = curlfit.load_throw(Path(__file__).parents[2] / "data/without_angle.csv")
+    fit = curlfit.fit(throw, "front-back", details=False)
+    assert {"two-solutions", "curve"} <= {finding.code for finding in fit.warnings}
+    return fit
 
 
 def test_a_record_has_sentences_and_codes(record):

@@ -29,15 +29,17 @@ def coefficients(law):
     """All different, and not at bounds."""
     return np.array(
         [
-            item.default + 0.2 * (k + 1) * item.typical
-            for k, item in enumerate(law.coefficients())
+            coefficient.default + 0.2 * (k + 1) * coefficient.typical
+            for k, coefficient in enumerate(law.coefficients())
         ]
     )
 
 
 def _state(law, values, stone, motion, load="uniform"):
-    found = jnp.stack(accelerations(law.from_vector(values), stone, load, *motion))
-    return found, found
+    acceleration = jnp.stack(
+        accelerations(law.from_vector(values), stone, load, *motion)
+    )
+    return acceleration, acceleration
 
 
 _slopes = jax.jit(
@@ -60,7 +62,9 @@ def test_coefficients_at_bounds_are_no_matter_of_other_members(end):
 
     slopes = jax.jit(jax.jacfwd(of_steps))
     for law in FAMILY.members:
-        values = np.array([getattr(item, end) for item in law.coefficients()])
+        values = np.array(
+            [getattr(coefficient, end) for coefficient in law.coefficients()]
+        )
         assert np.isfinite(slopes(FAMILY.vector(law, values))).all(), law.name
 
 
@@ -83,22 +87,24 @@ def test_a_member_has_its_own_accelerations_and_derivatives(law, family):
     values = coefficients(law)
     columns = family.columns(law, len(values))
     for motion in ((2.0, 1.0, 0.4, 3.0), (0.3, -9.0, -2.0, 8.0)):
-        there = np.array(motion)
-        (by_family, *found), value = _slopes(
-            family, family.vector(law, values), STONE, there, load
+        motion_vector = np.array(motion)
+        (by_family, *family_slopes), family_value = _slopes(
+            family, family.vector(law, values), STONE, motion_vector, load
         )
-        (by_own, *own), its_own = _slopes(law, values, STONE, there, load)
-        assert np.abs(its_own[1]) > 1e-3
-        np.testing.assert_allclose(value, its_own, rtol=1e-12, atol=1e-15)
+        (by_law, *law_slopes), law_value = _slopes(
+            law, values, STONE, motion_vector, load
+        )
+        assert np.abs(law_value[1]) > 1e-3
+        np.testing.assert_allclose(family_value, law_value, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(
-            by_family[:, columns], by_own, rtol=1e-10, atol=1e-13
+            by_family[:, columns], by_law, rtol=1e-10, atol=1e-13
         )
-        others = np.delete(np.asarray(by_family), columns, axis=1)
-        np.testing.assert_array_equal(others, 0.0)
-        for one, other in zip(
-            jax.tree.leaves(found), jax.tree.leaves(own), strict=True
+        foreign_slopes = np.delete(np.asarray(by_family), columns, axis=1)
+        np.testing.assert_array_equal(foreign_slopes, 0.0)
+        for family_slope, law_slope in zip(
+            jax.tree.leaves(family_slopes), jax.tree.leaves(law_slopes), strict=True
         ):
-            np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
+            np.testing.assert_allclose(family_slope, law_slope, rtol=1e-10, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ["debris", "power"])
@@ -107,14 +113,17 @@ def test_a_member_takes_its_own_steps(name):
     law = LAWS[name]
     values = coefficients(law)
     start = InitialState(v=2.0, omega=1.3)
-    own, found = (
+    law_path, family_path = (
         simulate(kind.from_vector(vector), STONE, start, TIMES).to_numpy()
         for kind, vector in ((law, values), (SMALL, SMALL.vector(law, values)))
     )
-    assert own.phi[-1] > 2 * np.pi
+    assert law_path.phi[-1] > 2 * np.pi
     for channel in ("x", "y", "phi", "rest"):
         np.testing.assert_allclose(
-            getattr(found, channel), getattr(own, channel), rtol=0, atol=1e-13
+            getattr(family_path, channel),
+            getattr(law_path, channel),
+            rtol=0,
+            atol=1e-13,
         )
 
 
@@ -134,7 +143,8 @@ def test_a_law_of_the_user_and_a_single_law_have_no_family():
         def traction(self, point):
             return -self.mu * point.e_xi, -self.mu * point.e_eta
 
-    coulomb, net = LAWS["coulomb"], LAWS["semi-empirical"]
+    coulomb = LAWS["coulomb"]
+    net = LAWS["semi-empirical"]
     assert family_of([coulomb, net, Mine]) is None
     assert family_of([coulomb, coulomb]) is None
     pair = family_of([coulomb, Mine, LAWS["power"]])
@@ -147,18 +157,19 @@ def test_a_law_of_the_user_and_a_single_law_have_no_family():
 @pytest.mark.parametrize("family", [None, FAMILY], ids=["alone", "member"])
 def test_forces_along_a_path_and_their_slopes(name, family):
     law = LAWS[name]
-    model, values = Model(law, "uniform", family=family), coefficients(law)
+    model = Model(law, "uniform", family=family)
+    values = coefficients(law)
     path = np.stack(
         [np.linspace(2, 0.2, POINTS), np.full(POINTS, 1.2), *np.zeros((2, POINTS))]
     )
-    typical = np.array([item.typical for item in law.coefficients()])
-    found, slopes = accelerations_and_slopes(
+    typical = np.array([coefficient.typical for coefficient in law.coefficients()])
+    forces, slopes = accelerations_and_slopes(
         model, values[None], typical, stacked([STONE]), path[None], 1
     )
     for point in (0, 50, POINTS - 1):
-        there = path[:, point]
-        (exact, *_), value = _slopes(law, values, STONE, there, "uniform")
-        np.testing.assert_allclose(found[0, :, point], value, rtol=1e-11, atol=1e-16)
+        motion = path[:, point]
+        (exact, *_), value = _slopes(law, values, STONE, motion, "uniform")
+        np.testing.assert_allclose(forces[0, :, point], value, rtol=1e-11, atol=1e-16)
         # if it is linear
         rtol, atol = (1e-9, 1e-10) if name == "tensor" else (1e-3, 1e-6)
         np.testing.assert_allclose(slopes[0, :, point], exact, rtol=rtol, atol=atol)
@@ -170,10 +181,10 @@ def test_a_fit_beside_others_is_the_fit(eq12):
     request = Request.of(eq12, Fitting.of(eq12.settings, law="coulomb"))
     beside = fit_request(request, details=False, family=FAMILY)
     assert beside.coefficients.keys() == alone.coefficients.keys()
-    for name, item in alone.parameters.items():
+    for name, estimate in alone.parameters.items():
         other = beside.parameters[name]
-        assert other.verdict == item.verdict
+        assert other.verdict == estimate.verdict
         assert other.value == pytest.approx(
-            item.value, rel=1e-7, abs=1e-9 * item.typical
+            estimate.value, rel=1e-7, abs=1e-9 * estimate.typical
         )
     assert beside.rms == pytest.approx(alone.rms, rel=1e-9)

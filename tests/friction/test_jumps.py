@@ -79,7 +79,9 @@ def sum_by_scipy(law, coulomb, v, omega, breaks):
 
     class Point:
         def __init__(self, angle):
-            self.angle, self.xi, self.eta = angle, np.cos(angle), np.sin(angle)
+            self.angle = angle
+            self.xi = np.cos(angle)
+            self.eta = np.sin(angle)
             self.slide = -u * self.eta, v + u * self.xi
             self.speed = np.hypot(*self.slide)
 
@@ -115,11 +117,11 @@ def test_friction_is_integrated_between_declared_edges(case, capsys):
 def test_a_kink_passes_with_a_warning_of_its_error(capsys):
     coulomb, (front, back) = UNEVEN["a kink"]
     law = find_law(law_of(coulomb))()
-    said = capsys.readouterr().err
-    ranges = re.findall(r"between (\S+) and (\S+) rad \(error .*: (\S+)%\)", said)
+    message = capsys.readouterr().err
+    ranges = re.findall(r"between (\S+) and (\S+) rad \(error .*: (\S+)%\)", message)
     ((low, high, percent),) = np.array(ranges, float)
-    assert "Warning" in said
-    assert "Own: friction has a kink" in said
+    assert "Warning" in message
+    assert "Own: friction has a kink" in message
     assert any(low <= angle <= high for angle in (*front, *back))
     errors = []
     for motion in MOTIONS:
@@ -159,7 +161,8 @@ def test_the_points_of_the_check_are_those_of_a_fit():
             mu = self.mu * (1 + jnp.exp(-(((point.angle - 1) / 0.1) ** 2)))
             return -mu * point.e_xi, -mu * point.e_eta
 
-    v, omega = 2.0, 1.5
+    v = 2.0
+    omega = 1.5
     motion = (np.array([value]) for value in (v, omega, 0.0, 0.0, 0.0, 0.0))
     conditions = Conditions(np.array([[0.01]]), *motion)
     sampled = Sampled(Lifted)

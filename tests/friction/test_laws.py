@@ -199,7 +199,7 @@ net = jax.jit(accelerations, static_argnames="load")
 def over_weight(name, values, load, *motion, of=net):
     """Of v, omega and the angle turned, which is 0 where not given."""
     # of one type, for one program
-    motion = [np.float64(item) for item in (*motion, 0.0)[:3]]
+    motion = [np.float64(quantity) for quantity in (*motion, 0.0)[:3]]
     a = of(find_law(name)(*values), STONE, load, *motion)
     return np.array([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
 
@@ -213,17 +213,18 @@ _slopes = jax.jit(jax.jacfwd(accelerations, 5), static_argnames="load")
 def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
     turned *= np.sign(omega)
     values = 0.013, 0.008
-    found = over_weight("debris", values, load, v, omega, turned, of=_slopes)
+    slopes = over_weight("debris", values, load, v, omega, turned, of=_slopes)
     if abs(turned) < np.pi:
         edge = turned - np.pi if turned > 0 else turned
-        c, s = np.cos(edge), np.sin(edge)
+        c = np.cos(edge)
+        s = np.sin(edge)
         sliding = np.array([-STONE.R * omega * s, v + STONE.R * omega * c])
         jump = np.sign(turned) * 0.005 / (2 * np.pi) * sliding / np.hypot(*sliding)
         jump = np.array([*jump, c * jump[1] - s * jump[0]])
     else:
         jump = np.zeros(3)
     if load == "uniform":
-        np.testing.assert_allclose(found, jump, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(slopes, jump, rtol=1e-9, atol=1e-15)
         return
     # The load shifts with the force; a step within one side of the corners
     step = 1e-5 if 1e-5 < abs(turned) < np.pi - 1e-5 else 2e-10
@@ -233,7 +234,7 @@ def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
     )
     difference = (ahead - behind) / (2 * step)
     np.testing.assert_allclose(
-        found, difference, rtol=0, atol=1e-9 if step == 1e-5 else 1e-6
+        slopes, difference, rtol=0, atol=1e-9 if step == 1e-5 else 1e-6
     )
 
 
@@ -260,9 +261,9 @@ ring, and with a push."""
 def test_consistent_load_balances_the_friction(name, values):
     dense = reference(name, values, "consistent", STONE)
     for v, omega in ((2.0, 1.0), (2.0, -9.0), (0.5, 25.0), (1.0, 0.0)):
-        found = over_weight(name, values, "consistent", v, omega)
+        force = over_weight(name, values, "consistent", v, omega)
         np.testing.assert_allclose(
-            found, dense.force(v, STONE.R * omega), rtol=0, atol=1e-12
+            force, dense.force(v, STONE.R * omega), rtol=0, atol=1e-12
         )
 
 
@@ -290,7 +291,8 @@ def test_a_load_that_would_have_to_be_negative_is_refused(name, within, beyond):
     assert np.isfinite(over_weight(name, within, "consistent", 2.0, 0.0)).all()
     assert np.isnan(over_weight(name, beyond, "consistent", 2.0, 0.0)).all()
     if name in UNLIKE:
-        times, start = np.linspace(0, 1, ROWS), InitialState(v=2.0, omega=0.0)
+        times = np.linspace(0, 1, ROWS)
+        start = InitialState(v=2.0, omega=0.0)
         path = simulate(LAWS[name](*beyond), STONE, start, times, load="consistent")
         assert np.isnan(path.y[1:]).all()
 
@@ -317,15 +319,15 @@ def test_a_throw_in_the_mirror(name, load):
     mirrored = replace(law, b12=-law.b12) if name == "tensor" else law
     times = np.linspace(0, 19, ROWS)
     start = InitialState(heading=0.2, v=2.0, omega=2.0)
-    one = simulate(law, STONE, start, times, load=load)
-    other = simulate(
+    path = simulate(law, STONE, start, times, load=load)
+    mirror_path = simulate(
         mirrored, STONE, replace(start, heading=-0.2, omega=-2.0), times, load=load
     )
-    assert abs(one.x[-1] - one.y[-1] * np.tan(0.2)) > (
+    assert abs(path.x[-1] - path.y[-1] * np.tan(0.2)) > (
         1e-6 if load == "consistent" else -1.0
     )
     np.testing.assert_allclose(
-        places(other), places(one) * [[-1], [1], [-1]], atol=1e-11
+        places(mirror_path), places(path) * [[-1], [1], [-1]], atol=1e-11
     )
     # whether it curls is said without a path: more than 3 cm in 28 m, from 2 m/s
     general = simulate(

@@ -129,7 +129,7 @@ def test_a_law_that_the_user_names_is_that_of_the_saved_fit(folder, monkeypatch)
     other = LAW.replace("lean", "tilt")
     assert other != LAW
     (folder / "other.py").write_text(other)
-    for law, said in (
+    for law, message in (
         (
             "coulomb",
             "--law coulomb: coulomb found, but the saved fit is of the law WetSide",
@@ -139,7 +139,7 @@ def test_a_law_that_the_user_names_is_that_of_the_saved_fit(folder, monkeypatch)
     ):
         run = curlfit("predict", "fit", "--law", law, cwd=folder)
         assert (run.returncode, len(run.stderr.splitlines())) == (2, 1)
-        assert run.stderr.startswith(f"curlfit: {said}")
+        assert run.stderr.startswith(f"curlfit: {message}")
 
 
 def test_reading_data_runs_no_program(folder):
@@ -267,9 +267,9 @@ def test_a_law_that_drives_a_part_of_the_ring_is_warned_of(tmp_path, capsys):
         HEAD + MU + "        return self.mu * point.e_xi, -self.mu * point.e_eta\n"
     )
     find_law(str(file))
-    said = capsys.readouterr().err
-    assert said.startswith(f"curlfit: Warning: {file}: A with its defaults, at ")
-    assert "drives some points of the ring" in said
+    warning = capsys.readouterr().err
+    assert warning.startswith(f"curlfit: Warning: {file}: A with its defaults, at ")
+    assert "drives some points of the ring" in warning
     file.write_text(
         HEAD + MU + "        return -self.mu * point.e_xi, -self.mu * point.e_eta\n\n"
     )

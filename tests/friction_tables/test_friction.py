@@ -44,9 +44,9 @@ def test_constant_friction_is_the_mean_with_its_error(found, table):
 
 def test_errors_that_are_given_are_weights(table):
     sigma = np.where(table.speed < 1, 0.001, 0.004)
-    one = curlfit.fit_friction(replace(table, sigma=sigma), "coulomb").fits[0]
+    fit = curlfit.fit_friction(replace(table, sigma=sigma), "coulomb").fits[0]
     weight = 1 / sigma**2
-    mu = one.coefficients["mu"]
+    mu = fit.coefficients["mu"]
     assert mu.value == pytest.approx((weight * table.mu).sum() / weight.sum(), rel=1e-9)
     assert mu.stderr == pytest.approx(weight.sum() ** -0.5, rel=1e-6)
     assert mu.dof is None
@@ -69,11 +69,14 @@ def test_a_power_of_the_speed_as_scipy_fits_it(found, table):
 
 def test_friction_does_not_determine_the_split_nor_what_pushes_sideways(found, table):
     law = of(found, "front-back")
-    assert all(item.verdict == "not identifiable" for item in law.coefficients.values())
-    (known,) = law.combinations
-    assert known.expression == "mu1_eta + mu2_eta"
+    assert all(
+        coefficient.verdict == "not identifiable"
+        for coefficient in law.coefficients.values()
+    )
+    (combination,) = law.combinations
+    assert combination.expression == "mu1_eta + mu2_eta"
     # without spin, along the motion: half the sum
-    assert known.value == pytest.approx(2 * table.mu.mean(), rel=1e-6)
+    assert combination.value == pytest.approx(2 * table.mu.mean(), rel=1e-6)
 
 
 def test_the_law_of_the_table_is_found_in_exact_values_of_it():
@@ -151,7 +154,7 @@ def test_the_commands(tmp_path, monkeypatch):
         in done.stdout
     )
     folder = tmp_path / "sutor_1988_friction-compare"
-    laws = [one.law for one in curlfit.load_friction(folder).fits]
+    laws = [fit.law for fit in curlfit.load_friction(folder).fits]
     assert laws == ["sutor", "coulomb", "front-back", "power"]
     assert (folder / "report.html").is_file()
     done = invoke(["fit", SUTOR, "--law", "sutor", "--fix", "r=2"])
@@ -167,7 +170,10 @@ def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
         head = CELL.format("string", "", "speed") + CELL.format("string", "", "mu")
         values = [(v, mu) for v in (0.5, 1.0, 2.0)]
         return [head] + [
-            "".join(CELL.format("float", f'office:value="{one}"', one) for one in row)
+            "".join(
+                CELL.format("float", f'office:value="{number}"', number)
+                for number in row
+            )
             for row in values
         ]
 

@@ -19,9 +19,10 @@ PAGES = ("fit", "prediction")
 
 @pytest.fixture(scope="module")
 def addresses(tmp_path_factory, eq12):
-    folder, found = tmp_path_factory.mktemp("pages"), report_records.of_fit(eq12)
-    curlfit.write_report(found["fit"], folder / "fit.html", chain=found["chain"])
-    curlfit.write_report(found["prediction"], folder / "prediction.html")
+    folder = tmp_path_factory.mktemp("pages")
+    records = report_records.of_fit(eq12)
+    curlfit.write_report(records["fit"], folder / "fit.html", chain=records["chain"])
+    curlfit.write_report(records["prediction"], folder / "prediction.html")
     return {name: (folder / f"{name}.html").as_uri() for name in PAGES}
 
 
@@ -52,7 +53,7 @@ def part(browser, id, name):
 def place(browser, id):
     """Where the stone is, m."""
     text = part(browser, id, "stone").get_attribute("transform")
-    return np.array([float(found) for found in re.findall(r"-?[\d.]+", text)])
+    return np.array([float(number) for number in re.findall(r"-?[\d.]+", text)])
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -106,9 +107,9 @@ def test_play_moves_the_stone_and_pause_stops_it(shown):
     time.sleep(0.2)
     assert (place(browser, "replay-0") == stopped).all()
     now = float(part(browser, "replay-0", "now").text)
-    said = part(browser, "replay-0", "status").text
+    status = part(browser, "replay-0", "status").text
     time_told, place_told = map(
-        float, re.match(r"([\d.]+) s: ([\d.]+) m from the hack", said).groups()
+        float, re.match(r"([\d.]+) s: ([\d.]+) m from the hack", status).groups()
     )
     assert time_told == pytest.approx(now, abs=0.06)
     assert place_told == pytest.approx(stopped[1], abs=0.006)
@@ -121,10 +122,8 @@ def test_play_moves_the_stone_and_pause_stops_it(shown):
 def test_the_player_obeys_the_keyboard(shown):
     browser = shown("fit")
     player = browser.find_element("id", "replay-0")
-    slider, button = (
-        part(browser, "replay-0", "time"),
-        part(browser, "replay-0", "play"),
-    )
+    slider = part(browser, "replay-0", "time")
+    button = part(browser, "replay-0", "play")
     slider.send_keys("\ue011")  # Home
     start = place(browser, "replay-0")
     assert start[:2] == pytest.approx([0.0, 10.059], abs=1e-3)
@@ -156,22 +155,20 @@ def points(path):
 def test_along_a_null_direction_bars_move_and_the_path_stands_still(shown):
     browser = shown("fit")
     slider = part(browser, "direction-0", "at")
-    path, other = (
-        part(browser, "direction-0", "path"),
-        part(browser, "direction-0", "other"),
-    )
+    path = part(browser, "direction-0", "path")
+    other = part(browser, "direction-0", "other")
     bars = browser.find_elements("css selector", "#direction-0 .bar span")
     numbers = browser.find_elements("css selector", "#direction-0 output")
-    known = points(path)
+    before = points(path)
     widths = []
     for key in ("\ue011", "\ue010", "\ue012"):  # Home, End, arrow to the left
         slider.send_keys(key)
         drawn = points(path)
-        assert drawn.shape == known.shape
-        assert np.abs(drawn - known).max() < 0.01  # pixels
-        assert np.abs(points(other) - known).max() > 20
+        assert drawn.shape == before.shape
+        assert np.abs(drawn - before).max() < 0.01  # pixels
+        assert np.abs(points(other) - before).max() > 20
         widths.append([float(bar.value_of_css_property("width")[:-2]) for bar in bars])
-        assert sum(float(one.text) for one in numbers) == pytest.approx(
+        assert sum(float(number.text) for number in numbers) == pytest.approx(
             0.017573, abs=2e-6
         )
     assert widths[0][0] < 1 < 100 < widths[0][1]
@@ -184,7 +181,8 @@ def test_along_a_null_direction_bars_move_and_the_path_stands_still(shown):
 
 def test_draws_come_to_rest_one_by_one(shown):
     browser = shown("prediction")
-    dots, slider = part(browser, "rests", "dots"), part(browser, "rests", "shown")
+    dots = part(browser, "rests", "dots")
+    slider = part(browser, "rests", "shown")
     assert dots.get_attribute("d").count("M") == 60
     part(browser, "rests", "next").click()
     wait_for(lambda: part(browser, "rests", "trail").get_attribute("d"))
@@ -208,19 +206,19 @@ def test_with_reduced_motion_the_stone_goes_in_steps(shown):
     slider = part(browser, "replay-0", "time")
     slider.send_keys("\ue011")
     part(browser, "replay-0", "play").click()
-    seen = set()
+    positions = set()
     end = time.monotonic() + 2.5
     while time.monotonic() < end:
-        seen.add(tuple(place(browser, "replay-0")))
+        positions.add(tuple(place(browser, "replay-0")))
         time.sleep(0.02)
-    assert 2 <= len(seen) <= 4
+    assert 2 <= len(positions) <= 4
 
 
 def test_on_paper_there_are_no_controls_and_all_has_come_to_its_end(shown):
     browser = shown("prediction", media="print")
     controls = browser.find_elements("css selector", ".controls, nav, .status")
     assert controls
-    assert not any(one.is_displayed() for one in controls)
+    assert not any(control.is_displayed() for control in controls)
     slider = part(browser, "rests", "shown")
     script = "arguments[0].value = 3; arguments[0].dispatchEvent(new Event('input'))"
     browser.execute_script(script, slider)

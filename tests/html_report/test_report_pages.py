@@ -39,7 +39,10 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.source, self.open, self.elements, self.tables = text, [], [], []
+        self.source = text
+        self.open = []
+        self.elements = []
+        self.tables = []
         self.texts = {}
         self.feed(text)
         self.close()
@@ -74,17 +77,19 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
     def values(self, name):
-        return [found[name] for _, found in self.elements if name in found]
+        return [
+            attributes[name] for _, attributes in self.elements if name in attributes
+        ]
 
     @property
     def data(self):
-        found = re.search(r'id="data">(.*?)</script>', self.source, re.S)
-        return json.loads(found[1])
+        embedded = re.search(r'id="data">(.*?)</script>', self.source, re.S)
+        return json.loads(embedded[1])
 
     def table(self, head):
         """Rows of the table whose first heading is this."""
-        (found,) = [rows for rows in self.tables if rows[0][:1] == [head]]
-        return found
+        (rows,) = [rows for rows in self.tables if rows[0][:1] == [head]]
+        return rows
 
 
 @pytest.fixture(scope="module")
@@ -104,25 +109,25 @@ def test_a_page_is_whole_and_loads_nothing(pages, kind):
     assert len(page.source.encode()) < MOST
     ids = page.values("id")
     assert len(ids) == len(set(ids))
-    known = set(ids)
+    anchors = set(ids)
     for name in ("for", "aria-labelledby"):
         for value in page.values(name):
-            assert set(value.split()) <= known, value
+            assert set(value.split()) <= anchors, value
     links = page.values("href")
     assert links
-    for link in links:
-        assert link.startswith("data:image/png;base64,") or link[1:] in known, link[:80]
-        assert link[0] in "#d"
+    for url in links:
+        assert url.startswith("data:image/png;base64,") or url[1:] in anchors, url[:80]
+        assert url[0] in "#d"
     assert not page.values("src")
     assert not page.of("link")
-    for found in re.findall(r"url\(([^)]*)\)", page.source):
-        assert found.startswith("#")
-        assert found[1:] in known
+    for address in re.findall(r"url\(([^)]*)\)", page.source):
+        assert address.startswith("#")
+        assert address[1:] in anchors
     assert "@import" not in page.source
     assert not re.search(r"https?:", page.source)
-    policy = [one for one in page.of("meta") if "http-equiv" in one]
-    said = "default-src 'none'; base-uri 'none'; form-action 'none';"
-    assert said in policy[0]["content"]
+    policy = [meta for meta in page.of("meta") if "http-equiv" in meta]
+    directives = "default-src 'none'; base-uri 'none'; form-action 'none';"
+    assert directives in policy[0]["content"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -136,15 +141,15 @@ def test_a_page_can_be_read_without_eyes(pages, kind):
     assert page.source.count("<caption>") == tables > 0
     heads = page.of("th")
     assert heads
-    assert all(one.get("scope") in ("col", "row") for one in heads)
-    for one in page.of("svg"):
-        assert one["role"] == "img"
-        assert one["aria-labelledby"] in page.values("id")
+    assert all(head.get("scope") in ("col", "row") for head in heads)
+    for element in page.of("svg"):
+        assert element["role"] == "img"
+        assert element["aria-labelledby"] in page.values("id")
     for tag in ("input", "select"):
-        for one in page.of(tag):
-            assert one["id"] in page.values("for")
-    for one in page.of("button"):
-        assert one["type"] == "button"
+        for element in page.of(tag):
+            assert element["id"] in page.values("for")
+    for element in page.of("button"):
+        assert element["type"] == "button"
 
 
 def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
@@ -152,19 +157,19 @@ def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
     rows = {
         row[0].partition(" (")[0]: row for row in pages["fit"].table("parameter")[1:]
     }
-    sums = {item.expression: item for item in fit.combinations}
+    sums = {combination.expression: combination for combination in fit.combinations}
     assert rows.keys() == fit.parameters.keys() | sums.keys()
     for name, (_, shown, error, *_) in rows.items():
-        item = fit.parameters.get(name) or sums[name]
+        estimate = fit.parameters.get(name) or sums[name]
         if name in ("mu1_eta", "mu2_eta"):
             assert (shown, error) == ("-", "-")
             continue
-        for text, value in ((shown, item.value), (error, item.stderr)):
+        for text, value in ((shown, estimate.value), (error, estimate.stderr)):
             digits = len(text.partition(".")[2])
             assert abs(float(text) - value) <= 0.51 * 10**-digits, name
         assert len(error.lstrip("0.")) == 2
-    said = " ".join(pages["fit"].texts["p"])
-    assert "mu1_eta and mu2_eta are not identifiable" in said
+    paragraphs = " ".join(pages["fit"].texts["p"])
+    assert "mu1_eta and mu2_eta are not identifiable" in paragraphs
     for warning in fit.warnings:
         assert str(warning)[5:] in html.unescape(pages["fit"].source)
 
@@ -180,7 +185,8 @@ def test_lengths_are_in_metres_and_in_feet(pages, records):
 
 
 def test_the_stone_moves_along_the_path_of_the_record(pages, records):
-    fit, data = records["fit"], pages["fit"].data["replay-0"]
+    fit = records["fit"]
+    data = pages["fit"].data["replay-0"]
     assert data["t"] == fit.observed["t"].tolist()
     # the file does not say where y = 0 is: the throw is drawn from the near hog
     # line, 10.059 m
@@ -204,7 +210,8 @@ def test_a_parameter_that_one_throw_holds_is_free_in_the_others(records):
 
 def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, records):
     """Against an integration that shares nothing with the program."""
-    fit, data = records["fit"], pages["fit"].data["direction-0"]
+    fit = records["fit"]
+    data = pages["fit"].data["direction-0"]
     values = np.array(data["values"])
     assert data["names"] == ["mu1_eta", "mu2_eta"]
     np.testing.assert_allclose(values.sum(1), fit.combinations[0].value, atol=2e-9)
@@ -235,23 +242,25 @@ def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, reco
     assert moved < 1e-7
     assert data["changes"][0]["text"].startswith("less than 0.0001 mm in position")
     alone = np.array(data["alone"][0]) - paths[data["start"]]
-    said = float(re.match(r"([\d.]+) m in position", data["apart"][0]["text"])[1])
+    distance = float(re.match(r"([\d.]+) m in position", data["apart"][0]["text"])[1])
     # the page has fewer instants than it takes the largest change of
-    assert said == pytest.approx(np.hypot(*alone).max(), rel=0.06)
+    assert distance == pytest.approx(np.hypot(*alone).max(), rel=0.06)
 
 
 def test_draws_come_to_rest_where_the_prediction_has_them(pages, records):
-    prediction, data = records["prediction"], pages["prediction"].data["rests"]
+    prediction = records["prediction"]
+    data = pages["prediction"].data["rests"]
     ends = np.array([[row[-1] for row in data[name]] for name in "xy"])
     assert ends.shape == (2, 60)
     spread = np.sqrt(np.diag(prediction.rest["both"]) / 60)
     assert (np.abs(ends.mean(1) - prediction.rest["mean"]) < 5 * spread).all()
-    times, y = np.array(data["t"]), np.array(data["y"])
+    times = np.array(data["t"])
+    y = np.array(data["y"])
     for row, rest in zip(y, data["rest"], strict=True):
         assert np.ptp(row[times >= rest]) == 0
         assert row[0] < 11 < 30 < row[-1]
-    seen = np.hypot(ends[0], ends[1] - data["tee"]) < 1.829 + 0.145
-    assert data["inside"] == seen.tolist()
+    in_house = np.hypot(ends[0], ends[1] - data["tee"]) < 1.829 + 0.145
+    assert data["inside"] == in_house.tolist()
 
 
 def test_a_prediction_without_draws_has_no_animation_of_them(records):
@@ -332,8 +341,8 @@ def test_pages_that_integrate_nothing_load_no_jax(folder):
 def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
-    said = typed("report", "comparison", "--open")
-    assert said == "Written: comparison/report.html\n"
+    output = typed("report", "comparison", "--open")
+    assert output == "Written: comparison/report.html\n"
     assert opened == [(folder / "comparison" / "report.html").as_uri()]
     text = (folder / "comparison" / "report.html").read_text(encoding="utf-8")
     assert text == page_of(curlfit.load_comparison(folder / "comparison"))
@@ -345,10 +354,10 @@ def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatc
 
 
 def test_verbs_write_the_page_on_request(folder, typed):
-    said = typed(
+    output = typed(
         "profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures", "--report"
     )
-    assert said.endswith("Written: fit-profile-mu1_xi/report.html\n")
+    assert output.endswith("Written: fit-profile-mu1_xi/report.html\n")
     page = folder / "fit-profile-mu1_xi" / "report.html"
     assert page.is_file()
     typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures")

@@ -38,7 +38,7 @@ def explorer(fit):
 
 def residuals(fit, curves, steps):
     """Measured minus computed by channel with sliders at steps, by the reference."""
-    values = {name: item.value for name, item in fit.parameters.items()}
+    values = {name: estimate.value for name, estimate in fit.parameters.items()}
     for slider, step in zip(curves.sliders, steps, strict=True):
         for name, weight in slider.direction.items():
             values[name] += weight * step
@@ -49,8 +49,8 @@ def residuals(fit, curves, steps):
         start, fit.observed["t"][rows]
     )
     return {
-        name: fit.observed[name][rows] - path[place]
-        for place, name in enumerate(("x", "y", "phi"))
+        name: fit.observed[name][rows] - path[row]
+        for row, name in enumerate(("x", "y", "phi"))
     }
 
 
@@ -117,8 +117,8 @@ def test_a_parameter_at_its_bound_moves_to_one_side(fit):
     assert nodes_between(0.0, 0.0).tolist() == [0.0]
     squares = [-25.0, -16.0, -9.0, -4.0, -1.0, 0.0]
     assert nodes_between(-25.0, 0.0) == pytest.approx(squares)
-    item = replace(fit["mu1_xi"], value=0.0, stderr=None, verdict="at bound")
-    at_bound = replace(fit, parameters=fit.parameters | {"mu1_xi": item})
+    estimate = replace(fit["mu1_xi"], value=0.0, stderr=None, verdict="at bound")
+    at_bound = replace(fit, parameters=fit.parameters | {"mu1_xi": estimate})
     slider = SliderCurves(at_bound).sliders[0]
     assert slider.ends[0] == 0
     assert slider.ends[1] > 0
@@ -167,8 +167,8 @@ def test_ends_without_a_motion_are_said_and_a_fit_that_cannot_move_is_refused(
     page = curlfit.explore(fit).page
     assert "at their ends in places where the law admits no motion" in page
     held = {
-        name: replace(item, lower=item.value, upper=item.value)
-        for name, item in fit.parameters.items()
+        name: replace(estimate, lower=estimate.value, upper=estimate.value)
+        for name, estimate in fit.parameters.items()
     }
     fixed = replace(
         fit,

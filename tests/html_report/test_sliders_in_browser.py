@@ -53,7 +53,7 @@ def drawn(browser):
 
 def values_shown(browser, fit):
     """The parameters as shown, where the last slider is along mu1_eta - mu2_eta."""
-    texts = [one.text for one in browser.find_elements("css selector", "output")]
+    texts = [output.text for output in browser.find_elements("css selector", "output")]
     return dict(zip(fit.parameters, map(float, texts[:-1]), strict=True))
 
 

@@ -74,12 +74,13 @@ def test_fit_has_the_certified_digits(name):
 def test_certified_values_are_where_the_misfit_is_least(name):
     # By DOP853 in double precision, where the values come from an extrapolation in
     # extended one
-    case, record = certify.CASES[name], CERTIFIED[name]
+    case = certify.CASES[name]
+    record = CERTIFIED[name]
     data = certify.read(case.file or FOLDER / f"{name}.csv")
     data = data[:, data[0] <= case.until]
     values = np.array(case.values)
     values[case.free] = list(record["values"].values())
-    assert list(record["values"]) == [case.label(place) for place in case.free]
+    assert list(record["values"]) == [case.label(index) for index in case.free]
     p = np.tile(values[:, None], 1 + len(case.free)).astype(complex)
     p[case.free, np.arange(1, p.shape[1])] += 1j * certify.TINY
     path = certify.by_runge_kutta(case, p, data[0])

@@ -56,8 +56,10 @@ def test_positions_bent_by_a_lens_are_no_sudden_change(strength):
     throw = filmed(seed=0)
     middle = throw.y.mean()
     factor = 1 + strength * (throw.x**2 + (throw.y - middle) ** 2)
-    seen = replace(throw, x=throw.x * factor, y=middle + (throw.y - middle) * factor)
-    assert changes(seen) == []
+    distorted = replace(
+        throw, x=throw.x * factor, y=middle + (throw.y - middle) * factor
+    )
+    assert changes(distorted) == []
 
 
 @pytest.mark.parametrize(
@@ -85,6 +87,6 @@ def test_no_cause_is_guessed_of_friction_that_falls_with_speed(name):
     throw = curlfit.load_throw(TRACKS / f"{name}.csv")
     result = curlfit.fit(throw, details=False)
     assert "correlated" in codes_of(result)
-    said = " ".join(map(str, result.warnings))
+    text = " ".join(map(str, result.warnings))
     for word in ("lens", "distorted", "change", "swe", "touch"):
-        assert word not in said
+        assert word not in text

@@ -33,17 +33,17 @@ def assert_sums_known(result):
     """What is determined of the halves of the ring is what they have together."""
     for name in ("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"):
         assert result.parameters[name].verdict == "not identifiable"
-    known = {item.expression: item for item in result.combinations}
+    sums = {combination.expression: combination for combination in result.combinations}
     for expression, true in TRUE.items():
-        assert abs(known[expression].value - true) < 4 * known[expression].stderr
+        assert abs(sums[expression].value - true) < 4 * sums[expression].stderr
 
 
 def test_spin_in_place_of_angle_does_as_well(seen):
     with_spin = fitted(seen, "x", "y", "omega")
     for result in (fitted(seen, "x", "y", "phi"), with_spin):
         for name in ("mu1_xi", "mu2_xi"):
-            item = result.parameters[name]
-            assert abs(item.value - getattr(LAW, name)) < 4 * item.stderr
+            estimate = result.parameters[name]
+            assert abs(estimate.value - getattr(LAW, name)) < 4 * estimate.stderr
     assert with_spin.parameters["phi0"].verdict == "fixed"
     assert with_spin.rms.keys() == {"x", "y", "omega"}
 
@@ -52,7 +52,9 @@ def test_radar_and_gyroscope_know_the_sums_and_not_the_curl(seen):
     result = fitted(seen, "speed", "omega")
     assert_sums_known(result)
     assert {
-        name for name, item in result.parameters.items() if item.verdict == "fixed"
+        name
+        for name, estimate in result.parameters.items()
+        if estimate.verdict == "fixed"
     } == {"x0", "y0", "heading", "phi0"}
 
 
@@ -83,7 +85,8 @@ def test_well_measured_throws_have_honest_parabolas(seen):
 
 
 def test_all_channels_at_once_are_better_than_three_and_are_saved(seen, tmp_path):
-    three, five = fitted(seen, "x", "y", "phi"), curlfit.fit(seen)
+    three = fitted(seen, "x", "y", "phi")
+    five = curlfit.fit(seen)
     for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
         assert five.parameters[name].stderr < three.parameters[name].stderr
     assert five.n_observations == 5 * len(TIMES)
@@ -94,21 +97,25 @@ def test_all_channels_at_once_are_better_than_three_and_are_saved(seen, tmp_path
 
 def test_positions_alone_leave_the_transverse_coefficients_weak():
     """Chi squared rises a thousandfold along the axis that makes up their errors."""
-    found = curlfit.fit(filmed(seed=24, noise={"x": 0.005, "y": 0.005}))
+    fit = curlfit.fit(filmed(seed=24, noise={"x": 0.005, "y": 0.005}))
     for name in ("mu1_xi", "mu2_xi", "omega0"):
-        assert found[name].verdict == "weak"
-        assert found[name].reason.startswith("values from")
-    (total,) = (item for item in found.combinations if "omega0" not in item.weights)
+        assert fit[name].verdict == "weak"
+        assert fit[name].reason.startswith("values from")
+    (total,) = (
+        combination
+        for combination in fit.combinations
+        if "omega0" not in combination.weights
+    )
     assert total.expression == "mu1_eta + mu2_eta"
     assert total.value == pytest.approx(0.018, rel=0.02)
 
 
 def test_a_speed_that_angles_alone_suggest_is_not_believed():
-    found = curlfit.fit(filmed(seed=7, noise={"omega": 0.02}))
-    assert found["v0"].value < 0.2  # of 2.1
-    assert not found.converged
-    assert "friction" in found.status
-    assert "angles alone hardly determine the speed" in found.status
+    fit = curlfit.fit(filmed(seed=7, noise={"omega": 0.02}))
+    assert fit["v0"].value < 0.2  # of 2.1
+    assert not fit.converged
+    assert "friction" in fit.status
+    assert "angles alone hardly determine the speed" in fit.status
 
 
 def fit_of(throw, many):
@@ -121,15 +128,15 @@ def test_without_x_the_fit_does_not_end_at_a_saddle_point(seed, many):
     pulls them apart."""
     noise = {"y": 0.005, "phi": 0.01}
     throw = filmed(seed=seed, noise=noise).with_sigma(noise)
-    found = fit_of(throw, many)
+    fit = fit_of(throw, many)
     lowest = min(
         curlfit.fit(throw, fix={"mu1_xi": value}).chi_squared
         for value in np.linspace(0, 0.025, 4)
     )
-    assert found.chi_squared < lowest + 1e-6
-    assert found["mu2_xi"].value - found["mu1_xi"].value > 0.01
-    said = finding_of(found, "two-solutions")
-    assert "measure x to distinguish" in str(said)
+    assert fit.chi_squared < lowest + 1e-6
+    assert fit["mu2_xi"].value - fit["mu1_xi"].value > 0.01
+    finding = finding_of(fit, "two-solutions")
+    assert "measure x to distinguish" in str(finding)
 
 
 @pytest.mark.parametrize(("omega", "many"), [(1.2, True), (-3.0, False)])
@@ -137,18 +144,20 @@ def test_without_an_angle_both_senses_of_spin_are_tried(omega, many):
     """Exchanged halves of the ring and the opposite spin give the same path."""
     noise = {"x": 5e-4, "y": 5e-4}
     throw = filmed(seed=1, noise=noise, omega=omega).with_sigma(noise)
-    found = fit_of(throw, many)
+    fit = fit_of(throw, many)
     # of equal solutions the one with the usual coefficients, in which mu2_xi
     # is the larger
-    assert np.sign(found["omega0"].value) == np.sign(omega)
-    assert found["mu2_xi"].value > found["mu1_xi"].value
-    one, two, spin = (found[name].value for name in ("mu1_xi", "mu2_xi", "omega0"))
-    held = {"mu1_xi": two, "mu2_xi": one, "omega0": -spin}
+    assert np.sign(fit["omega0"].value) == np.sign(omega)
+    assert fit["mu2_xi"].value > fit["mu1_xi"].value
+    mu1_xi, mu2_xi, spin = (fit[name].value for name in ("mu1_xi", "mu2_xi", "omega0"))
+    held = {"mu1_xi": mu2_xi, "mu2_xi": mu1_xi, "omega0": -spin}
     assert curlfit.fit(throw, fix=held).chi_squared == pytest.approx(
-        found.chi_squared, abs=1e-3
+        fit.chi_squared, abs=1e-3
     )
-    assert found["omega0"].verdict == "weak"
-    said = finding_of(found, "two-solutions")
-    values = {item["name"]: item["value"] for item in said.numbers["values"]}
+    assert fit["omega0"].verdict == "weak"
+    finding = finding_of(fit, "two-solutions")
+    values = {
+        parameter["name"]: parameter["value"] for parameter in finding.numbers["values"]
+    }
     assert values["omega0"] == pytest.approx(-spin, rel=0.01)
-    assert said.remedies[0].numbers == {"unmeasured": ["the angle"]}
+    assert finding.remedies[0].numbers == {"unmeasured": ["the angle"]}

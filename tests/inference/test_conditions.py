@@ -30,7 +30,7 @@ ASSUMED = {
     "time_scale": 1.0,
     "wear": 0.0,
 }
-HELD = {item.name: item.width for item in CONDITIONS if item.width}
+HELD = {condition.name: condition.width for condition in CONDITIONS if condition.width}
 ALONE = dict.fromkeys(("slope_x", "slope_y", "drag", "wear"), "determined") | {
     "R": "weak",
     "length_scale": "weak",
@@ -50,7 +50,8 @@ def measured(conditions=(), start=START, load="uniform", noise=0.0, seed=0):
     path = simulate(
         LAW, stone, start, TIMES, load=load, environment=surroundings
     ).to_numpy()
-    scale, random = true["length_scale"], np.random.default_rng(seed)
+    scale = true["length_scale"]
+    random = np.random.default_rng(seed)
     channels = {
         "x": start.x + scale * (path.x - start.x),
         "y": start.y + scale * (path.y - start.y),
@@ -69,14 +70,18 @@ def off(name):
 
 def truth_of(fit, start=START):
     """True values of the free parameters of a fit."""
-    known = TRUTH | {
+    true_values = TRUTH | {
         "x0": start.x,
         "y0": start.y,
         "heading": start.heading,
         "v0": start.v,
     }
-    known |= {"phi0": start.phi, "omega0": start.omega}
-    return {name: value for name, value in known.items() if fit.parameters[name].stderr}
+    true_values |= {"phi0": start.phi, "omega0": start.omega}
+    return {
+        name: value
+        for name, value in true_values.items()
+        if fit.parameters[name].stderr
+    }
 
 
 @pytest.mark.parametrize("name", HELD)
@@ -88,13 +93,16 @@ def test_a_held_condition_that_is_off_shifts_the_estimates_as_the_systematic_err
     assert fit.systematics.widths == HELD
     largest = 0.0
     for parameter, true in truth_of(fit).items():
-        item, shifts = fit.parameters[parameter], fit.systematics.shifts[parameter]
+        estimate = fit.parameters[parameter]
+        shifts = fit.systematics.shifts[parameter]
         assert set(shifts) == set(HELD)
         shift = shifts[name]
         # to first order: of R, which is 2.3 % off, the second is 4 % of the shift
-        tolerance = (0.045 if name == "R" else 0.03) * abs(shift) + 0.005 * item.stderr
-        assert item.value + shift == pytest.approx(true, abs=tolerance), parameter
-        largest = max(largest, abs(shift) / item.stderr)
+        tolerance = (0.045 if name == "R" else 0.03) * abs(
+            shift
+        ) + 0.005 * estimate.stderr
+        assert estimate.value + shift == pytest.approx(true, abs=tolerance), parameter
+        largest = max(largest, abs(shift) / estimate.stderr)
         error = fit.systematics.errors[parameter]
         assert error == pytest.approx(np.linalg.norm([*shifts.values()]))
     assert largest > (0.1 if name == "h" else 1)  # the test says something
@@ -121,24 +129,24 @@ def test_coefficients_that_are_determined_together_have_a_systematic_error_toget
     # half of the ring each: twice the slope
     assert shift == pytest.approx(2e-4, rel=0.02)
     assert total.value + shift == pytest.approx(0.018, abs=0.03 * shift)
-    said = shown(fit)
-    assert "std. error systematic verdict" in said
+    report = shown(fit)
+    assert "std. error systematic verdict" in report
     assert (
         "Systematic errors come from conditions that the fit holds fixed; the largest: "
-        in said
+        in report
     )
     assert (
         "slopes down along the throw by 0.1 mm/m, the true mu1_eta + mu2_eta "
-        "is 0.0002 higher" in said
+        "is 0.0002 higher" in report
     )
     assert (
         "if the radius of gyration is 2.5 mm larger, the true mu1_xi is 0.0014 higher"
-        in said
+        in report
     )
     fit.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
     assert again.systematics == fit.systematics
-    assert shown(again) == said
+    assert shown(again) == report
 
 
 def test_widths_may_be_given_and_conditions_may_be_known():
@@ -186,20 +194,21 @@ def test_a_spin_that_was_not_measured_is_a_condition(turns):
         throw, "front-back", fix=fix, systematics={"all": 0, "spin": 0.01}
     )
     assert fit.systematics.widths == ({} if turns else {"spin": 0.01})
-    item, true = fit.parameters["mu2_xi"], TRUTH["mu2_xi"]
+    estimate = fit.parameters["mu2_xi"]
+    true = TRUTH["mu2_xi"]
     # the curl is counted from the heading, which a law that can curl does not move
     assert fit.parameters["heading"].verdict == "fixed"
     coulomb = curlfit.fit(throw, "coulomb", systematics={"all": 0})
     assert coulomb.parameters["heading"].verdict == "determined"
     if turns:
-        assert item.value == pytest.approx(true, rel=0.01)
+        assert estimate.value == pytest.approx(true, rel=0.01)
         return
     shift = fit.systematics.shifts["mu2_xi"]["spin"]
     assert shift < -0.005 * true
     # to first order
-    assert item.value + shift == pytest.approx(true, abs=0.03 * abs(shift))
-    known = curlfit.fit(throw, "front-back", fix=fix | {"omega0": 1.3})
-    assert "spin" not in known.systematics.widths
+    assert estimate.value + shift == pytest.approx(true, abs=0.03 * abs(shift))
+    fixed_spin_fit = curlfit.fit(throw, "front-back", fix=fix | {"omega0": 1.3})
+    assert "spin" not in fixed_spin_fit.systematics.widths
 
 
 @pytest.mark.parametrize(
@@ -242,24 +251,27 @@ def test_systematic_errors_hold_for_robust_losses_and_correlated_noise(choices):
 def test_a_condition_is_fixed_at_a_value_or_estimated(name):
     """All are parameters, so that one program serves; without noise the
     truth comes back."""
-    true, throw = ASSUMED | off(name), measured(off(name))
+    true = ASSUMED | off(name)
+    throw = measured(off(name))
     fit = curlfit.fit(throw, fix=SPLIT | true)
     assert fit.converged
-    assert {name: item.value for name, item in fit.conditions.items()} == true
+    assert {name: condition.value for name, condition in fit.conditions.items()} == true
     assert fit.systematics.widths == {}
     for parameter, value in truth_of(fit).items():
-        item = fit.parameters[parameter]
-        assert item.value == pytest.approx(value, abs=1e-3 * item.stderr), parameter
+        estimate = fit.parameters[parameter]
+        assert estimate.value == pytest.approx(value, abs=1e-3 * estimate.stderr), (
+            parameter
+        )
 
-    others = {key: value for key, value in true.items() if key != name}
-    free = curlfit.fit(throw, fix=SPLIT | others, free=[name])
+    held = {key: value for key, value in true.items() if key != name}
+    free = curlfit.fit(throw, fix=SPLIT | held, free=[name])
     assert list(free.conditions) == [
-        one.name for one in CONDITIONS if one.name in ASSUMED
+        condition.name for condition in CONDITIONS if condition.name in ASSUMED
     ]
-    item = free.parameters[name]
-    assert item.verdict == ALONE[name]
-    if item.stderr is not None:
-        assert item.value == pytest.approx(true[name], abs=1e-3 * item.stderr)
+    estimate = free.parameters[name]
+    assert estimate.verdict == ALONE[name]
+    if estimate.stderr is not None:
+        assert estimate.value == pytest.approx(true[name], abs=1e-3 * estimate.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -290,13 +302,13 @@ def test_opposite_spins_cancel_the_shift_by_the_slope(pair):
         assert shifts == pytest.approx(joint.systematics.shifts["mu1_xi"], rel=1e-8)
     # a condition that does not go by the spin shifts both alike
     common = joint.systematics.shifts["mu2_xi"]["rho"]
-    each = [fit.systematics.shifts["mu2_xi"]["rho"] for fit in alone]
-    np.testing.assert_allclose(each, common, rtol=0.2)
+    shifts_alone = [fit.systematics.shifts["mu2_xi"]["rho"] for fit in alone]
+    np.testing.assert_allclose(shifts_alone, common, rtol=0.2)
 
 
 def test_unknown_conditions_are_refused():
     throw = measured()
-    for choices, said in (
+    for choices, message in (
         (
             {"free": ["slope"]},
             "no parameter 'slope'.*conditions are slope_x, slope_y, drag",
@@ -312,9 +324,9 @@ def test_unknown_conditions_are_refused():
         ({"systematics": {"rho": np.inf}}, "systematics.rho = inf; expected a number"),
         ({"bounds": {"drag": (1.0, 0.0)}}, "bound of drag: 1:0 is empty"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             curlfit.fit(throw, **choices)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             curlfit.fit_together([throw, throw], **choices)
 
 
@@ -326,7 +338,8 @@ def test_the_error_beside_a_condition_at_its_bound_is_that_of_the_profile():
     options = {"load": "consistent", "sigma": first.sigma, "details": False}
     fit = curlfit.fit(throw, "front-back", free=["drag"], **options)
     assert fit["drag"].verdict == "at bound"
-    value, stderr = fit["mu1_xi"].value, fit["mu1_xi"].stderr
+    value = fit["mu1_xi"].value
+    stderr = fit["mu1_xi"].stderr
     held = {"mu1_xi": value - stderr}
     beside = curlfit.fit(throw, "front-back", free=["drag"], fix=held, **options)
     assert beside.chi_squared - fit.chi_squared == pytest.approx(1.0, abs=0.05)

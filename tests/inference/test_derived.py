@@ -31,7 +31,10 @@ from curlfit.wording import compact
 
 ROOT = Path(__file__).parents[2]
 G = 9.81
-MU, V0, Y0, T_END = 0.0095, 2.45, 9.5, 24.0
+MU = 0.0095
+V0 = 2.45
+Y0 = 9.5
+T_END = 24.0
 NAMES = ("a", "b", "c")
 FROM_HACK = curlfit.Finding.note("y-from-the-hack", lines=[], far_tee=TEE)
 AT = {"a": 0.7, "b": -1.3, "c": 2.1}
@@ -41,7 +44,8 @@ AT = {"a": 0.7, "b": -1.3, "c": 2.1}
 def throw():
     """Friction of Coulomb without spin: constant deceleration, on the sheet,
     nearly to rest."""
-    law, random = curlfit.law_with("coulomb", {"mu": MU}), np.random.default_rng(8)
+    law = curlfit.law_with("coulomb", {"mu": MU})
+    random = np.random.default_rng(8)
     t = np.linspace(0.0, T_END, 201)
     start = curlfit.InitialState(x=0.2, y=Y0, heading=0.01, v=V0, omega=0.0)
     path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
@@ -49,8 +53,8 @@ def throw():
         series + 0.004 * random.standard_normal(len(t))
         for series in (path.x, path.y, path.phi)
     )
-    made = curlfit.Throw.from_arrays(t, x, y, phi, name="draw.csv")
-    return replace(made, notes=(FROM_HACK,))
+    throw = curlfit.Throw.from_arrays(t, x, y, phi, name="draw.csv")
+    return replace(throw, notes=(FROM_HACK,))
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +65,8 @@ def fit(throw):
 @pytest.fixture(scope="module")
 def sampled(fit):
     """The fit, and draws of the normal density of its covariance as a chain."""
-    names, random = tuple(fit.parameters), np.random.default_rng(6)
+    names = tuple(fit.parameters)
+    random = np.random.default_rng(6)
     values = np.tile(fit.values, (50, 8, 1))
     free = [names.index(name) for name in fit.covariance.names]
     matrix = fit.covariance.matrix
@@ -70,8 +75,8 @@ def sampled(fit):
     )
     none = np.zeros((50, 8))
     chain = curlfit.Chain(names, values, none, 0, 4, 0)
-    found = fit.with_derived(["v0**2 / (2*g*mu)"], chain)
-    return replace(found, quantities=quantities_of(fit, chain)), chain
+    result = fit.with_derived(["v0**2 / (2*g*mu)"], chain)
+    return replace(result, quantities=quantities_of(fit, chain)), chain
 
 
 # --- expressions
@@ -92,10 +97,12 @@ def sampled(fit):
     ],
 )
 def test_gradients_are_those_of_differences(text):
-    found = parse(text, NAMES, {})
-    gradient = found.gradient(AT)
+    expression = parse(text, NAMES, {})
+    gradient = expression.gradient(AT)
     python = (
-        found.text.replace("2 a", "2*a").replace(".5 c", ".5*c").replace("log10", "lg")
+        expression.text.replace("2 a", "2*a")
+        .replace(".5 c", ".5*c")
+        .replace("log10", "lg")
     )
     functions = {
         name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan")
@@ -110,7 +117,7 @@ def test_gradients_are_those_of_differences(text):
         )
 
     x = np.array(list(AT.values()))
-    assert found.of(AT) == pytest.approx(by_python(x), rel=1e-14)
+    assert expression.of(AT) == pytest.approx(by_python(x), rel=1e-14)
     expected = approx_fprime(x, by_python, 1e-7)
     np.testing.assert_allclose(
         [gradient.get(n, 0.0) for n in NAMES], expected, atol=3e-6
@@ -153,41 +160,43 @@ def test_what_is_no_arithmetic_is_refused(text, said):
 def test_errors_are_those_of_the_covariance(fit):
     names = fit.covariance.names
     matrix = fit.covariance.matrix
-    found = fit.derive("v0**2 / (2*g*mu)")
-    mu, v0 = fit["mu"].value, fit["v0"].value
-    assert found.value == pytest.approx(v0**2 / (2 * G * mu), rel=1e-13)
+    distance = fit.derive("v0**2 / (2*g*mu)")
+    mu = fit["mu"].value
+    v0 = fit["v0"].value
+    assert distance.value == pytest.approx(v0**2 / (2 * G * mu), rel=1e-13)
     row = np.zeros(len(names))
-    row[names.index("v0")], row[names.index("mu")] = (
-        v0 / (G * mu),
-        -(v0**2) / (2 * G * mu**2),
-    )
-    assert found.stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=1e-10)
-    assert found.verdict == "determined"
-    one = fit.derive("mu")
-    assert one.stderr == pytest.approx(fit["mu"].stderr, rel=1e-12)
-    assert one.systematic == pytest.approx(fit.systematics.errors["mu"], rel=1e-12)
-    assert one.dof == fit["mu"].dof
+    row[names.index("v0")] = v0 / (G * mu)
+    row[names.index("mu")] = -(v0**2) / (2 * G * mu**2)
+    assert distance.stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=1e-10)
+    assert distance.verdict == "determined"
+    friction = fit.derive("mu")
+    assert friction.stderr == pytest.approx(fit["mu"].stderr, rel=1e-12)
+    assert friction.systematic == pytest.approx(fit.systematics.errors["mu"], rel=1e-12)
+    assert friction.dof == fit["mu"].dof
     # a constant of the stone has a systematic error, which adds to that of
     # the parameter
     ratio = fit.derive("mu / R")
-    shifts, widths = fit.systematics.shifts["mu"], fit.systematics.widths
-    each = [
+    shifts = fit.systematics.shifts["mu"]
+    widths = fit.systematics.widths
+    contributions = [
         by / fit.stone.R - (name == "R") * mu * widths["R"] / fit.stone.R**2
         for name, by in shifts.items()
     ]
-    assert ratio.systematic == pytest.approx(np.hypot.reduce(each), rel=1e-9)
+    assert ratio.systematic == pytest.approx(np.hypot.reduce(contributions), rel=1e-9)
 
 
 def test_quantiles_are_those_of_the_posterior(sampled):
-    found, chain = sampled
-    item = found["v0**2 / (2*g*mu)"]
+    fit, chain = sampled
+    distance = fit["v0**2 / (2*g*mu)"]
     mu, v0 = (chain.of({name: 1.0}) for name in ("mu", "v0"))
     draws = v0**2 / (2 * G * mu)
-    assert item.quantiles["16"] == pytest.approx(np.quantile(draws, 0.16), rel=1e-12)
-    assert item.stderr == pytest.approx(draws.std(), rel=0.1)
+    assert distance.quantiles["16"] == pytest.approx(
+        np.quantile(draws, 0.16), rel=1e-12
+    )
+    assert distance.stderr == pytest.approx(draws.std(), rel=0.1)
     assert curlfit.FitResult.from_json(
-        json.loads(json.dumps(found.to_json()))
-    ).derived == (item,)
+        json.loads(json.dumps(fit.to_json()))
+    ).derived == (distance,)
 
 
 @pytest.mark.parametrize(
@@ -204,29 +213,29 @@ def test_quantiles_are_those_of_the_posterior(sampled):
     ],
 )
 def test_what_depends_on_the_ridge_is_not_identifiable(eq12_fit, text, seen):
-    found = eq12_fit.derive(text)
-    assert (found.verdict == "determined") == seen
-    assert (found.stderr is not None) == (found.interval() is not None) == seen
-    assert seen or found.verdict == "not identifiable"
-    assert seen or found.systematic is None
+    derived = eq12_fit.derive(text)
+    assert (derived.verdict == "determined") == seen
+    assert (derived.stderr is not None) == (derived.interval() is not None) == seen
+    assert seen or derived.verdict == "not identifiable"
+    assert seen or derived.systematic is None
 
 
 def test_a_combination_has_its_own_errors(eq12_fit):
-    (known,) = eq12_fit.combinations
-    found = eq12_fit.derive(known.expression)
-    assert found.value == pytest.approx(known.value, rel=1e-13)
-    assert found.stderr == pytest.approx(known.stderr, rel=1e-9)
+    (combination,) = eq12_fit.combinations
+    derived = eq12_fit.derive(combination.expression)
+    assert derived.value == pytest.approx(combination.value, rel=1e-13)
+    assert derived.stderr == pytest.approx(combination.stderr, rel=1e-9)
     errors = eq12_fit.systematics.errors
-    assert found.systematic == pytest.approx(errors[known.expression], rel=1e-6)
-    assert found.dof == known.dof
+    assert derived.systematic == pytest.approx(errors[combination.expression], rel=1e-6)
+    assert derived.dof == combination.dof
     # one that is written with rounded weights is exact
     odd = replace(
-        known,
+        combination,
         expression="mu1_eta + 0.98 mu2_eta",
         weights={"mu1_eta": 1.0, "mu2_eta": 1.0},
     )
     other = replace(eq12_fit, combinations=(odd,)).derive("2*(mu1_eta + 0.98 mu2_eta)")
-    assert other.value == pytest.approx(2 * known.value, rel=1e-13)
+    assert other.value == pytest.approx(2 * combination.value, rel=1e-13)
     for overflowing in ("v0**1000", "v0**400"):  # its square too
         with pytest.raises(InputError, match="no finite value"):
             eq12_fit.derive(overflowing)
@@ -240,8 +249,8 @@ def test_what_is_at_a_bound_or_fixed_has_no_error(throw, fit):
     assert held.derive("mu*v0").stderr == pytest.approx(MU * held["v0"].stderr)
     bound = fit["mu"].value - fit["mu"].stderr
     stuck = curlfit.fit(throw, "coulomb", bounds={"mu": (0.0, bound)})
-    found = stuck.derive("mu*v0")
-    assert (found.verdict, found.stderr) == ("at bound", None)
+    derived = stuck.derive("mu*v0")
+    assert (derived.verdict, derived.stderr) == ("at bound", None)
 
 
 # --- along the ridge
@@ -259,9 +268,11 @@ def known_of(residual, names, values, held, typical=1.0):
 
     jacobian = slopes(values)
     squares, axes = np.linalg.eigh(jacobian.T @ jacobian * typical**2)
-    seen = squares > 1e-6
-    covariance = (axes[:, seen] / squares[seen]) @ axes[:, seen].T * typical**2
-    null = [dict(zip(names, row, strict=True)) for row in axes[:, ~seen].T]
+    determined = squares > 1e-6
+    covariance = (
+        (axes[:, determined] / squares[determined]) @ axes[:, determined].T * typical**2
+    )
+    null = [dict(zip(names, row, strict=True)) for row in axes[:, ~determined].T]
     ridge = []
     for name, points in held.items():
         for at in points:
@@ -312,9 +323,9 @@ def hyperbola():
     ],
 )
 def test_what_is_constant_along_the_ridge_is_determined(hyperbola, text, stderr):
-    found = derive(hyperbola, text)
-    assert found.verdict == "determined"
-    assert found.stderr == pytest.approx(stderr, rel=1e-3)
+    derived = derive(hyperbola, text)
+    assert derived.verdict == "determined"
+    assert derived.stderr == pytest.approx(stderr, rel=1e-3)
     # without the ridge, its null direction is all that is known
     alone = derive(hyperbola._replace(ridge=()), text)
     assert (alone.verdict, alone.stderr) == ("not identifiable", None)
@@ -323,15 +334,15 @@ def test_what_is_constant_along_the_ridge_is_determined(hyperbola, text, stderr)
 @pytest.mark.parametrize("text", ["a", "a/b", "a**2*b", "a + 1.5625*b", "a - b"])
 def test_what_moves_along_the_ridge_is_not(hyperbola, text):
     """The fourth is constant along the tangent at the estimates."""
-    found = derive(hyperbola, text)
-    assert found.verdict in ("weak", "not identifiable")
+    derived = derive(hyperbola, text)
+    assert derived.verdict in ("weak", "not identifiable")
     if text != "a":
         values = [
             parse(text, ("a", "b"), {}).of(point)
             for point in (hyperbola.values, *hyperbola.points)
         ]
         low, high = (f"{value:.3g}" for value in (min(values), max(values)))
-        assert found.reason == f"values from {low} to {high} fit nearly as well"
+        assert derived.reason == f"values from {low} to {high} fit nearly as well"
 
 
 def test_the_error_is_the_largest_of_a_profile():
@@ -358,10 +369,10 @@ def test_a_ridge_that_drifts_widens_the_error():
         return np.array([(p[0] * p[1] + p[0] / 10 - 1.1) / 0.001, (p[0] - 1) / 0.3])
 
     points = [(size, 1.1 / size - 0.1) for size in sizes]
-    known = known_of(residual, ("a", "b"), (1.0, 1.0), {"a": points})
-    found = derive(known, "a*b")
-    assert found.stderr == pytest.approx(0.03, rel=0.02)
-    assert derive(known, "a*b + a/10").stderr == pytest.approx(0.001, rel=0.1)
+    first_order = known_of(residual, ("a", "b"), (1.0, 1.0), {"a": points})
+    product = derive(first_order, "a*b")
+    assert product.stderr == pytest.approx(0.03, rel=0.02)
+    assert derive(first_order, "a*b + a/10").stderr == pytest.approx(0.001, rel=0.1)
 
 
 def test_far_less_may_be_known_at_a_point_of_the_ridge():
@@ -372,10 +383,10 @@ def test_far_less_may_be_known_at_a_point_of_the_ridge():
         return np.array([p[0] * p[1] / 0.1, (p[1] - 1.0) / 0.6])
 
     points = [(0.0, spin) for spin in spins]
-    known = known_of(residual, ("a", "w"), (0.0, 1.0), {"w": points})
-    found = derive(known, "2*a")
-    assert (found.verdict, found.stderr) == ("not identifiable", None)
-    without = known._replace(ridge=known.ridge[:-1])
+    first_order = known_of(residual, ("a", "w"), (0.0, 1.0), {"w": points})
+    derived = derive(first_order, "2*a")
+    assert (derived.verdict, derived.stderr) == ("not identifiable", None)
+    without = first_order._replace(ridge=first_order.ridge[:-1])
     assert derive(without, "2*a").stderr == pytest.approx(2 * 0.1 / 0.5, rel=1e-3)
 
 
@@ -386,47 +397,47 @@ def test_far_less_may_be_known_at_a_point_of_the_ridge():
 def test_products_are_found_from_a_ridge(power):
     sizes = np.array([0.2, 0.5, 2.0, 5.0])
     points = [(size, size ** (-1 / power)) for size in sizes]
-    known = known_of(
+    first_order = known_of(
         lambda p: np.array([(p[0] * p[1] ** power - 1.0) / SIGMA, 0.0]),
         ("a", "b"),
         (1.0, 1.0),
         {"a": points},
     )
-    (found,) = products_of(known)
+    (product,) = products_of(first_order)
     expected = {1: "a*b", -1: "a/b", 2: "a*b**2", -2: "a/b**2", 0.5: "a**2*b"}
-    assert found.expression == expected[power]
-    assert found.value == pytest.approx(1.0)
-    assert found.stderr == pytest.approx(SIGMA * (2 if power == 0.5 else 1), rel=1e-3)
+    assert product.expression == expected[power]
+    assert product.value == pytest.approx(1.0)
+    assert product.stderr == pytest.approx(SIGMA * (2 if power == 0.5 else 1), rel=1e-3)
     words = "a falls as b grows" if power > 0 else "a grows with b"
-    assert found.meaning == words
+    assert product.meaning == words
 
 
 def test_a_product_of_a_difference_is_found():
     sizes = np.array([0.5, 0.7, 2.0, 4.0])
     points = [(0.2 + 1 / size, 0.2, size) for size in sizes]
     points += [(shift + 1.0, shift, 1.0) for shift in (0.1, 0.5, 1.0)]
-    known = known_of(
+    first_order = known_of(
         lambda p: np.array([((p[0] - p[1]) * p[2] - 1.0) / SIGMA, 0.0, 0.0]),
         ("a", "b", "omega0"),
         (1.2, 0.2, 1.0),
         {"omega0": points[:4], "b": points[4:]},
     )
     # two directions are free, of which one held parameter leaves one
-    (found,) = products_of(known)
-    assert found.expression == "(a - b)*omega0"
-    assert found.stderr == pytest.approx(SIGMA, rel=1e-3)
-    assert found.meaning == "a - b falls as omega0 grows"
+    (product,) = products_of(first_order)
+    assert product.expression == "(a - b)*omega0"
+    assert product.stderr == pytest.approx(SIGMA, rel=1e-3)
+    assert product.meaning == "a - b falls as omega0 grows"
 
 
 def test_no_product_is_said_of_a_straight_ridge(hyperbola):
     points = [(3.0 - size, size) for size in (0.3, 0.7, 2.0, 2.5)]
-    known = known_of(
+    first_order = known_of(
         lambda p: np.array([(p[0] + p[1] - 3.0) / SIGMA, 0.0]),
         ("a", "b"),
         (1.5, 1.5),
         {"b": points},
     )
-    assert products_of(known) == ()
+    assert products_of(first_order) == ()
     assert products_of(hyperbola._replace(ridge=())) == ()
 
 
@@ -464,7 +475,9 @@ def test_the_product_has_the_error_of_its_profile(on_a_curve):
     assert product.verdict == "determined"
     assert abs(product.value - 0.055) < 2 * product.stderr
     sigma = dict(fit.sigma)
-    values, errors, rises = [], [], []
+    values = []
+    errors = []
+    rises = []
     spins = np.array([0.1, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 12.5])
     for spin in spins:
         held = curlfit.fit(
@@ -475,7 +488,7 @@ def test_the_product_has_the_error_of_its_profile(on_a_curve):
         rises.append(held.chi_squared)
     between = np.linspace(0.1, 12.5, 500)
     value, error, rise = (
-        np.interp(between, spins, each) for each in (values, errors, rises)
+        np.interp(between, spins, series) for series in (values, errors, rises)
     )
     at = np.linspace(0.05, 0.065, 1501)
     profile = (rise + ((at[:, None] - value) / error) ** 2).min(1)
@@ -491,8 +504,11 @@ def test_the_product_has_the_error_of_its_profile(on_a_curve):
 def test_a_fit_says_the_same_of_a_parameter_and_of_an_expression(on_a_curve):
     _, fit = on_a_curve
     for name in ("c", "v0", "b"):
-        found = fit.derive(name)
-        assert (found.stderr, found.verdict) == (fit[name].stderr, fit[name].verdict)
+        derived = fit.derive(name)
+        assert (derived.stderr, derived.verdict) == (
+            fit[name].stderr,
+            fit[name].verdict,
+        )
     assert fit.derive("2*c").stderr == pytest.approx(2 * fit["c"].stderr, rel=0.01)
     ratio = fit["omega0"].value / fit["b"].value
     tangent = fit.derive(f"omega0 + {ratio!r}*b")
@@ -506,11 +522,11 @@ def test_the_systematic_error_of_a_product_is_that_of_a_fit(on_a_curve):
     slope = 1e-4
     law = curlfit.law_with("power+transverse", {"c": 0.008, "k": -0.5, "b": 0.05})
     ice = Environment(slope_x=slope)
-    made = curlfit.synthetic_throw(
+    throw = curlfit.synthetic_throw(
         law, curlfit.Stone(), v0=2.1, omega0=1.1, until=18, environment=ice
     )
     sigma = {"x": 0.005, "y": 0.005}
-    track = curlfit.Throw.from_arrays(made.t, made.x, made.y, sigma=sigma)
+    track = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y, sigma=sigma)
     sloping = curlfit.fit(track, "power+transverse", systematics={"slope_x": slope})
     off = 0.055 - sloping["b*omega0"].value
     shift = fit.systematics.shifts["b*omega0"]["slope_x"]
@@ -522,17 +538,17 @@ def test_the_systematic_error_of_a_product_is_that_of_a_fit(on_a_curve):
 
 def test_the_report_names_the_product(on_a_curve):
     _, fit = on_a_curve
-    said = " ".join(str(document(fit)).split())
+    report = " ".join(str(document(fit)).split())
     product = fit["b*omega0"]
-    assert "Only b*omega0 is determined: b falls as omega0 grows." in said
+    assert "Only b*omega0 is determined: b falls as omega0 grows." in report
     value = compact(product.value, product.stderr)
     assert f"b*omega0 = {value} is determined" in str(fit.warnings[-1])
     again = curlfit.FitResult.from_json(json.loads(json.dumps(fit.to_json())))
     assert again.products == fit.products
     assert fit.to_frame().loc["b*omega0", "verdict"] == "determined"
     # one that is requested as well is not shown twice
-    both = fit.with_derived(["b*omega0"]).all_derived
-    assert [item.expression for item in both] == ["b*omega0"]
+    quantities = fit.with_derived(["b*omega0"]).all_derived
+    assert [quantity.expression for quantity in quantities] == ["b*omega0"]
 
 
 def test_the_track_of_the_page_is_made_by_its_lines(tmp_path, monkeypatch):
@@ -540,8 +556,8 @@ def test_the_track_of_the_page_is_made_by_its_lines(tmp_path, monkeypatch):
     (lines,) = re.findall(r"```python\n(.*?)```", page, re.S)
     monkeypatch.chdir(tmp_path)
     exec(lines, {})
-    made = (tmp_path / "without_angle.csv").read_text()
-    assert made == (ROOT / "data" / "without_angle.csv").read_text()
+    track = (tmp_path / "without_angle.csv").read_text()
+    assert track == (ROOT / "data" / "without_angle.csv").read_text()
 
 
 # --- what is quoted of the path
@@ -549,16 +565,18 @@ def test_the_track_of_the_page_is_made_by_its_lines(tmp_path, monkeypatch):
 
 def passes(y, mu, v0, y0, heading=0.01):
     """When a stone under constant deceleration passes a line."""
-    a, v, gap = mu * G * np.cos(heading), v0 * np.cos(heading), y - y0
+    a = mu * G * np.cos(heading)
+    v = v0 * np.cos(heading)
+    gap = y - y0
     return (v - np.sqrt(v**2 - 2 * a * gap)) / a
 
 
 def test_quantities_of_the_path_have_closed_forms_under_constant_deceleration(fit):
-    found = fit.quantities
+    quantities = fit.quantities
     # without spin there is no curl, and a law that cannot curl says nothing of it
-    assert set(found) == {"friction", "turns", "hog_to_hog", "hog_to_tee"}
-    assert found["friction"].value == pytest.approx(fit["mu"].value, rel=1e-9)
-    assert found["friction"].stderr == pytest.approx(fit["mu"].stderr, rel=1e-4)
+    assert set(quantities) == {"friction", "turns", "hog_to_hog", "hog_to_tee"}
+    assert quantities["friction"].value == pytest.approx(fit["mu"].value, rel=1e-9)
+    assert quantities["friction"].stderr == pytest.approx(fit["mu"].stderr, rel=1e-4)
     names = fit.covariance.names
     order = [names.index(name) for name in ("mu", "v0", "y0", "heading")]
     matrix = fit.covariance.matrix[np.ix_(order, order)]
@@ -568,12 +586,12 @@ def test_quantities_of_the_path_have_closed_forms_under_constant_deceleration(fi
         def between(p, line=line):
             return passes(line, *p) - passes(LINES["hog"], *p)
 
-        assert found[name].value == pytest.approx(between(at), abs=2e-6)
+        assert quantities[name].value == pytest.approx(between(at), abs=2e-6)
         row = approx_fprime(at, between, 1e-8)
-        assert found[name].stderr == pytest.approx(
+        assert quantities[name].stderr == pytest.approx(
             np.sqrt(row @ matrix @ row), rel=2e-3
         )
-    assert found["hog_to_tee"].unit == "s"
+    assert quantities["hog_to_tee"].unit == "s"
 
 
 def assert_quantiles(item, chain, within):
@@ -588,10 +606,10 @@ def assert_quantiles(item, chain, within):
 
 
 def test_quantities_agree_with_the_draws_of_the_posterior(sampled):
-    found, chain = sampled
-    item = found.quantities["hog_to_hog"]
-    times = assert_quantiles(item, chain, 2e-6)
-    assert item.stderr == pytest.approx(times.std(), rel=0.1)
+    fit, chain = sampled
+    duration = fit.quantities["hog_to_hog"]
+    times = assert_quantiles(duration, chain, 2e-6)
+    assert duration.stderr == pytest.approx(times.std(), rel=0.1)
 
 
 @pytest.mark.slow
@@ -611,8 +629,8 @@ def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
     assert eq12_fit.quantities["curl"].value < 0
     early = curlfit.fit(throw, "coulomb", until=10)
     assert set(early.quantities) == {"friction", "turns"}
-    places = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y)
-    assert "turns" not in curlfit.fit(places, "coulomb").quantities
+    track = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y)
+    assert "turns" not in curlfit.fit(track, "coulomb").quantities
     systematic = fit.quantities["hog_to_hog"].systematic
     # the clock of the record, wrong by 0.1 %, at least
     assert systematic > 0.9e-3 * fit.quantities["hog_to_hog"].value
@@ -620,26 +638,32 @@ def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
 
 def test_a_draw_has_its_time_and_its_curl(eq12_fit):
     """By an independent simulation of the fitted stone."""
-    law, t = eq12_fit.fitted_law, np.linspace(0, 30, 201)
+    law = eq12_fit.fitted_law
+    t = np.linspace(0, 30, 201)
     start = curlfit.InitialState(y=9.9, v=2.25, omega=1.3)
     path = curlfit.simulate(law, curlfit.Stone(R=0.054), start, t).to_numpy()
     assert 0.1 < path.y[-1] - TEE < 1.5
-    made = curlfit.Throw.from_arrays(
+    throw = curlfit.Throw.from_arrays(
         t, path.x, path.y, path.phi, sigma={"x": 0.003, "y": 0.003, "phi": 0.005}
     )
-    made = replace(made, notes=(FROM_HACK,), defaults={"stone": {"R": 0.054}})
-    found = curlfit.fit(made).quantities
+    throw = replace(throw, notes=(FROM_HACK,), defaults={"stone": {"R": 0.054}})
+    quantities = curlfit.fit(throw).quantities
     hog = np.interp(LINES["hog"], path.y[:9], t[:9])
-    assert found["draw_time"].value == pytest.approx(float(path.rest) - hog, abs=2e-3)
-    assert found["turns"].value == pytest.approx(path.phi[-1] / 2 / np.pi, abs=1e-4)
+    assert quantities["draw_time"].value == pytest.approx(
+        float(path.rest) - hog, abs=2e-3
+    )
+    assert quantities["turns"].value == pytest.approx(
+        path.phi[-1] / 2 / np.pi, abs=1e-4
+    )
     end = np.interp(TEE, path.y[:158], path.x[:158])
-    assert found["curl"].value == pytest.approx(end, abs=3e-3)
+    assert quantities["curl"].value == pytest.approx(end, abs=3e-3)
 
 
 def test_an_error_of_the_clock_scales_times_and_friction():
     """Against the fit of the same draw with all times longer: intervals are
     proportional to the unit of time, the mean deceleration to its inverse square."""
-    width, t = 1e-3, np.linspace(0.0, 30.0, 201)
+    width = 1e-3
+    t = np.linspace(0.0, 30.0, 201)
     law = curlfit.law_with("coulomb", {"mu": 0.0085})
     start = curlfit.InitialState(y=9.9, v=2.2, omega=1.0)
     path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
@@ -660,12 +684,12 @@ def test_an_error_of_the_clock_scales_times_and_friction():
     powers = {"friction": -2, "hog_to_hog": 1, "hog_to_tee": 1, "draw_time": 1}
     assert set(powers) < set(right)
     for name, power in powers.items():
-        item = right[name]
+        quantity = right[name]
         assert slow[name].value == pytest.approx(
-            item.value * (1 + width) ** power, rel=1e-6
+            quantity.value * (1 + width) ** power, rel=1e-6
         ), name
-        assert item.systematic == pytest.approx(
-            abs(power) * width * item.value, rel=2e-3
+        assert quantity.systematic == pytest.approx(
+            abs(power) * width * quantity.value, rel=2e-3
         ), name
 
 
@@ -680,10 +704,12 @@ def folder(tmp_path):
 def test_the_command_line_and_the_report(tmp_path, throw, typed):
     (tmp_path / "a.csv").write_text('# axes = "from-hack"\n' + write_table(throw))
     quick = ("--law", "coulomb", "--no-sample", "--no-figures")
-    said = " ".join(typed("fit", "a.csv", *quick, "--derive", "v0**2/(2*g*mu)").split())
-    assert "derived estimate std. error systematic verdict v0**2/(2*g*mu) " in said
-    assert "hog line to hog line (s)" in said
-    assert "mean deceleration / g" in said
+    report = " ".join(
+        typed("fit", "a.csv", *quick, "--derive", "v0**2/(2*g*mu)").split()
+    )
+    assert "derived estimate std. error systematic verdict v0**2/(2*g*mu) " in report
+    assert "hog line to hog line (s)" in report
+    assert "mean deceleration / g" in report
     saved = curlfit.load_fit("a-fit")
     assert "mu / v0" in typed("show", "a-fit", "--derive", "mu / v0")
     assert saved.to_frame().loc["v0**2/(2*g*mu)", "verdict"] == "determined"

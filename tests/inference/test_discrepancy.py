@@ -34,23 +34,24 @@ def path_of(law, start):
 )
 def test_responses_are_the_derivatives_of_the_path(component, name):
     values = {"a": 0.006, "c": 0.088, "p": 0.0, "q": 0.02, "r": 0.0}
-    start, step = InitialState(v=2.1, omega=1.4, heading=0.2), 1e-4
+    start = InitialState(v=2.1, omega=1.4, heading=0.2)
+    step = 1e-4
     law = LAWS["semi-empirical"]
     path = path_of(law(**values), start)
     up, down = (
         path_of(law(**values | {name: values[name] + d}), start) for d in (step, -step)
     )
     expected = (down - up) / (2 * step)
-    found = Responses.of(TIMES, path, STONE)
+    responses = Responses.of(TIMES, path, STONE)
     # a constant, by the shapes
     shapes = accelerations.shapes()
     constant = np.linalg.lstsq(shapes.T, np.ones(shapes.shape[1]), rcond=None)[0]
     along = np.zeros((3, accelerations.SHAPES))
     row = accelerations.COMPONENTS.index(component)
     along[row] = constant
-    size = found.size[row]
+    size = responses.size[row]
     for channel in range(len(CHANNELS)):
-        response = found.at(TIMES, channel) @ along.ravel() / size
+        response = responses.at(TIMES, channel) @ along.ravel() / size
         scale = np.abs(expected[channel]).max()
         if scale > 1e-3 * np.abs(expected).max():
             # of the shapes that are left out, and differences in time
@@ -60,19 +61,19 @@ def test_responses_are_the_derivatives_of_the_path(component, name):
 
 def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
     throw = filmed(LAWS["coulomb"](), seed=11)
-    white, own = (
+    white_fit, discrepancy_fit = (
         curlfit.fit(throw, "coulomb", noise=kind) for kind in ("white", "discrepancy")
     )
-    for name, item in white.parameters.items():
-        ratio = own.parameters[name].stderr / item.stderr
+    for name, estimate in white_fit.parameters.items():
+        ratio = discrepancy_fit.parameters[name].stderr / estimate.stderr
         assert 0.9 < ratio < (40 if name == "mu" else 12)
         assert (
-            abs(own.parameters[name].value - item.value)
-            < 4 * own.parameters[name].stderr
+            abs(discrepancy_fit.parameters[name].value - estimate.value)
+            < 4 * discrepancy_fit.parameters[name].stderr
         )
-    assert set(own.noise.sizes) == set(accelerations.COMPONENTS)
-    assert max(own.noise.sizes.values()) < 0.1
-    assert own.sigma["x"] == pytest.approx(0.005, rel=0.2)
+    assert set(discrepancy_fit.noise.sizes) == set(accelerations.COMPONENTS)
+    assert max(discrepancy_fit.noise.sizes.values()) < 0.1
+    assert discrepancy_fit.sigma["x"] == pytest.approx(0.005, rel=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -93,25 +94,28 @@ def dense(fit):
     The least-squares estimates, with the weights of independent noise, and what they
     leave are independent of one another.
     """
-    data, n = linearized_fit(fit), len(TIMES)
+    data = linearized_fit(fit)
+    n = len(TIMES)
     blocks = []
     for name in ("x", "y", "phi"):
-        memory, white = max(fit.noise.memory[name], 1e-9), fit.noise.white[name]
+        memory = max(fit.noise.memory[name], 1e-9)
+        white = fit.noise.white[name]
         correlated = np.exp(-np.abs(TIMES[:, None] - TIMES) / memory)
         blocks.append((1 - white) * correlated + white * np.eye(n))
     before = data.weight[:3, :n].ravel()
-    seen = before > 0
-    before = before[seen]
+    observed = before > 0
+    before = before[observed]
     factor = np.repeat(
         [fit.sigma[name] / fit.noise.independent[name] for name in SERIES], n
-    )[seen]
+    )[observed]
     weight = before / factor
-    noise = block_diag(*blocks)[seen][:, seen]
+    noise = block_diag(*blocks)[observed][:, observed]
     jacobian, responses = (
-        part[:3, :n].reshape(3 * n, -1)[seen]
+        part[:3, :n].reshape(3 * n, -1)[observed]
         for part in (data.jacobian, data.responses)
     )
-    j, s = weight[:, None] * jacobian, weight[:, None] * responses
+    j = weight[:, None] * jacobian
+    s = weight[:, None] * responses
     estimate = (before * factor)[:, None] * jacobian
     change = estimate.T @ s
     of_law = (data.from_standard @ change)[: len(fit.coefficients)]
@@ -132,13 +136,14 @@ def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
     fit = wrong_law
     problem = problem_of(fit)
     covariance, *_ = dense(fit)
-    n, weight = len(TIMES), np.asarray(problem.weight)
+    n = len(TIMES)
+    weight = np.asarray(problem.weight)
     residual = np.random.default_rng(0).standard_normal(weight.shape)
     residual[weight == 0] = 0.0
     white = np.asarray(whitened(residual, problem.whitener))[:, :n].ravel()
-    own = residual[:, :n][weight[:, :n] > 0]
+    observed = residual[:, :n][weight[:, :n] > 0]
     assert white @ white == pytest.approx(
-        own @ np.linalg.solve(covariance, own), rel=1e-6
+        observed @ np.linalg.solve(covariance, observed), rel=1e-6
     )
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]
     assert problem.whitener.log_determinant().sum() == pytest.approx(
@@ -177,7 +182,8 @@ def test_the_law_is_fitted_as_without_a_discrepancy(wrong_law):
     """Its coefficients and its path are those nearest to the data; the initial state
     has the error that a discrepancy may hide in it."""
     white = curlfit.fit(wrong_law.throw, "coulomb", details=False)
-    mu, other = wrong_law["mu"], white["mu"]
+    mu = wrong_law["mu"]
+    other = white["mu"]
     assert mu.value == pytest.approx(other.value, rel=1e-4)
     for name, size in white.rms.items():
         assert wrong_law.rms[name] == pytest.approx(size, rel=0.01)

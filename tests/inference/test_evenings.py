@@ -24,8 +24,10 @@ def fitted(name, **choices):
 
 def difference(joint, quantity):
     """Of sheet 2 from sheet 1, of a draw to the tee."""
-    (effect,) = (one for one in joint.differences if one.parameter == quantity)
-    return effect
+    (of_quantity,) = (
+        effect for effect in joint.differences if effect.parameter == quantity
+    )
+    return of_quantity
 
 
 @pytest.mark.parametrize(
@@ -46,7 +48,7 @@ def test_the_sheets_differ_as_they_do(name, friction, curl):
     assert abs(of_curl.value - curl) < 2.5 * of_curl.stderr
     assert of_curl.stderr < 0.06
     of_friction = difference(joint, "friction")
-    mean = joint.groups[[one.parameter for one in joint.groups].index("friction")]
+    mean = joint.groups[[effect.parameter for effect in joint.groups].index("friction")]
     assert abs(of_friction.value / mean.value - friction) < 0.025
     assert of_friction.stderr / mean.value < 0.015
 
@@ -58,7 +60,9 @@ def test_what_the_draws_do_not_tell_is_in_the_error_of_friction_not_of_the_diffe
     assert exponent.value == pytest.approx(-0.25, abs=1e-3)
     assert exponent.stderr == pytest.approx(0.25, rel=1e-6)
     (mean,) = (
-        one for one in joint.groups if one.parameter == "friction" and not one.by
+        effect
+        for effect in joint.groups
+        if effect.parameter == "friction" and not effect.by
     )
     assert 0.04 < mean.stderr / mean.value < 0.08
     assert difference(joint, "friction").stderr < 0.3 * mean.stderr
@@ -68,7 +72,7 @@ def test_two_times_tell_how_friction_depends_on_speed():
     """Friction falls with v^-0.15; a draw to the tee takes 12.86 s."""
     joint = fitted("e04")
     assert joint.coefficients["k"].verdict == "determined"
-    (time,) = (one for one in joint.groups if one.parameter == "hog_to_hog")
+    (time,) = (effect for effect in joint.groups if effect.parameter == "hog_to_hog")
     assert abs(time.value - 12.86) < 2 * time.stderr
     assert time.stderr < 0.06
 
@@ -119,7 +123,7 @@ def test_one_time_of_a_draw_that_stopped_short_leads_no_search_astray():
     joint = fitted("tee_alone")
     assert joint.converged
     assert not joint.warnings
-    (mean,) = (one for one in joint.groups if one.parameter == "friction")
+    (mean,) = (effect for effect in joint.groups if effect.parameter == "friction")
     assert abs(mean.value - 0.0178 / 2) < 2 * mean.stderr
     assert mean.stderr < 0.0006
 
@@ -162,7 +166,9 @@ def test_an_exchanged_digit_is_named_and_left_out(tmp_path):
     assert str(third_line) == str(prediction_of(prediction).heading[1])
     of_friction = difference(joint, "friction")
     (mean,) = (
-        one for one in joint.groups if one.parameter == "friction" and not one.by
+        effect
+        for effect in joint.groups
+        if effect.parameter == "friction" and not effect.by
     )
     assert abs(of_friction.value / mean.value + 0.03) < 0.025
 
@@ -202,13 +208,17 @@ def test_a_wrong_digit_makes_no_evening_unusable():
 
 def test_nothing_is_said_of_a_curl_that_nobody_measured():
     joint = fitted("e09d", by="rink", trend="when")
-    assert {one.parameter for one in joint.groups} == {"c", "friction", "hog_to_hog"}
+    assert {effect.parameter for effect in joint.groups} == {
+        "c",
+        "friction",
+        "hog_to_hog",
+    }
     call = Call({"rink": "South"}, hog_to_hog=13.0)
     prediction = curlfit.predict(joint, call=call, draws=100)
-    said = " ".join(str(prediction_of(prediction)).split())
-    assert "The power law says nothing of its curl." in said
+    text = " ".join(str(prediction_of(prediction)).split())
+    assert "The power law says nothing of its curl." in text
     for words in ("broom", "does not curl", "right of centre", "button"):
-        assert words not in said.split("Sensitivity")[0], words
+        assert words not in text.split("Sensitivity")[0], words
 
 
 @SLOW
@@ -234,8 +244,10 @@ def test_draws_without_a_curl_tell_none_and_the_next_turns_as_the_last_known(tmp
     )
 
     assert joint.converged
-    (curls,) = (one for one in joint.variation if one.expression == "a")
-    of_draws = [draw for draw, told in enumerate(curls.each, start=1) if told]
+    (curls,) = (
+        variation for variation in joint.variation if variation.expression == "a"
+    )
+    of_draws = [draw for draw, curl in enumerate(curls.each, start=1) if curl]
     assert of_draws == [draw for draw in range(1, 17) if draw not in without_curl]
     of_curl = difference(joint, "curl")
     assert abs(of_curl.value + 0.35) < 2.5 * of_curl.stderr

@@ -24,16 +24,18 @@ NAMES = ("mu1_xi", "mu2_xi")
 
 
 def coefficients(result):
-    sums = {item.expression: item.value for item in result.combinations}
+    sums = {
+        combination.expression: combination.value for combination in result.combinations
+    }
     return np.array(
         [*(result.parameters[n].value for n in NAMES), sums["mu1_eta + mu2_eta"]]
     )
 
 
 def test_eq_28_as_checked(eq12_fit):
-    found = coefficients(eq12_fit)
+    estimates = coefficients(eq12_fit)
     np.testing.assert_array_less(
-        np.abs(found - [0.0004, 0.0555, 0.0173]), [0.0002, 0.0006, 0.0004]
+        np.abs(estimates - [0.0004, 0.0555, 0.0173]), [0.0002, 0.0006, 0.0004]
     )
     assert eq12_fit.converged
     assert eq12_fit.rms["x"] < 0.0015
@@ -62,10 +64,12 @@ def test_rounding_decides_neither_where_a_fit_ends_nor_when(eq12):
     steps = {int(re.search(r"\((\d+) steps", result.status)[1]) for result in fits}
     assert len(steps) == 1
     assert max(steps) < 10
-    for name, item in fits[0].parameters.items():
-        if item.stderr is not None:
-            away = [abs(other.parameters[name].value - item.value) for other in fits]
-            assert max(away) < 1e-8 * item.stderr
+    for name, estimate in fits[0].parameters.items():
+        if estimate.stderr is not None:
+            away = [
+                abs(other.parameters[name].value - estimate.value) for other in fits
+            ]
+            assert max(away) < 1e-8 * estimate.stderr
 
 
 def test_a_start_ten_times_off_leads_to_the_same_place(eq12, eq12_fit):
@@ -98,7 +102,10 @@ def test_mirrored_and_shifted_throws_give_the_same_coefficients(eq12, eq12_fit):
 
 def test_a_map_grid_and_the_clock_of_a_computer_cost_no_precision():
     throw = filmed(seed=1)
-    east, north, now, turned = 5e5, 5.4e6, 1.7e9, 2e3
+    east = 5e5
+    north = 5.4e6
+    now = 1.7e9
+    turned = 2e3
     far = replace(
         throw,
         t=throw.t + now,
@@ -110,13 +117,13 @@ def test_a_map_grid_and_the_clock_of_a_computer_cost_no_precision():
     moved = fit(far)
     by = {"x0": east, "y0": north, "phi0": turned}
     for name, expected in near.parameters.items():
-        item = moved.parameters[name]
-        assert item.verdict == expected.verdict
-        gap = item.value - expected.value - by.get(name, 0.0)
+        estimate = moved.parameters[name]
+        assert estimate.verdict == expected.verdict
+        gap = estimate.value - expected.value - by.get(name, 0.0)
         error = expected.stderr or expected.typical
         assert abs(gap) < 1e-3 * error
         if expected.stderr is not None:
-            assert item.stderr == pytest.approx(expected.stderr, rel=1e-4)
+            assert estimate.stderr == pytest.approx(expected.stderr, rel=1e-4)
     for name in ("x", "y", "phi"):
         assert moved.rms[name] == pytest.approx(near.rms[name], rel=1e-4)
     assert moved.quantities["turns"].value == pytest.approx(
@@ -126,14 +133,15 @@ def test_a_map_grid_and_the_clock_of_a_computer_cost_no_precision():
 
 def test_gaps():
     throw = filmed(seed=1)
-    x, phi = throw.x.copy(), throw.phi.copy()
+    x = throw.x.copy()
+    phi = throw.phi.copy()
     x[40:90] = np.nan
     phi[::3] = np.nan
     gappy = fit(replace(throw, x=x, phi=phi))
     assert gappy.converged
     for name, true in zip(NAMES, (0.005, 0.05), strict=True):
-        item = gappy.parameters[name]
-        assert abs(item.value - true) < 4 * item.stderr
+        estimate = gappy.parameters[name]
+        assert abs(estimate.value - true) < 4 * estimate.stderr
 
 
 def test_noise_free_throws_come_back_to_the_precision_of_the_path():
@@ -198,39 +206,44 @@ def test_what_no_row_shows_pays_for_no_residual():
         solution = Solution(np.zeros((1, 2)), np.ones((1, 1, 6)), jacobian, 1, True)
         ones = np.ones((1, 1, 6))
         problem = Problem(t[None], ones, ones, Stone(), LEVEL_AND_STILL)
-        (found,) = residual_sigma(solution, problem, np.ones((1, 2), bool))
-        assert found[0] == pytest.approx(np.sqrt(6 / (6 - paid)), rel=1e-12)
+        (sigma,) = residual_sigma(solution, problem, np.ones((1, 2), bool))
+        assert sigma[0] == pytest.approx(np.sqrt(6 / (6 - paid)), rel=1e-12)
 
 
 def test_a_reference_with_a_rounded_stone_is_reproduced_with_its_own(eq12, eq12_fit):
     """CHECKED values of rho = 0.1025 m: 0.00184, 0.05705, 0.01757; eq. 28 to its
     printed digits."""
-    own, rounded = eq12_fit.reference_fits
-    assert (own["stone"], rounded["stone"]) == ({"rho": 0.1025}, {"R": 0.0545})
+    with_rho, with_radius = eq12_fit.reference_fits
+    assert (with_rho["stone"], with_radius["stone"]) == ({"rho": 0.1025}, {"R": 0.0545})
     again = curlfit.fit(eq12, stone=eq12_fit.stone.with_values({"rho": 0.1025}))
     assert again.reference_fits == ()
     names = ("mu1_xi", "mu2_xi")
-    found = [again.parameters[name].value for name in names]
+    estimates = [again.parameters[name].value for name in names]
     np.testing.assert_allclose(
-        [own["values"][name] for name in names], found, rtol=1e-6
+        [with_rho["values"][name] for name in names], estimates, rtol=1e-6
     )
-    total = own["values"]["mu1_eta + mu2_eta"]
-    np.testing.assert_allclose([*found, total], [0.00184, 0.05705, 0.01757], atol=6e-6)
+    total = with_rho["values"]["mu1_eta + mu2_eta"]
+    np.testing.assert_allclose(
+        [*estimates, total], [0.00184, 0.05705, 0.01757], atol=6e-6
+    )
     # the curl goes with R (mu1_xi - mu2_xi), the torque with R^2 (mu1_xi +
     # mu2_xi)/rho^2 (eq. 27)
-    fit = {name: eq12_fit.parameters[name].value for name in names}
-    for other, scale in ((own, 0.1025 / 0.1), (rounded, 0.054 / 0.0545)):
-        values, radius = other["values"], other["stone"].get("R", 0.054)
-        total = (values["mu1_xi"] + values["mu2_xi"]) / (fit["mu1_xi"] + fit["mu2_xi"])
+    fitted = {name: eq12_fit.parameters[name].value for name in names}
+    for other, scale in ((with_rho, 0.1025 / 0.1), (with_radius, 0.054 / 0.0545)):
+        values = other["values"]
+        radius = other["stone"].get("R", 0.054)
+        total = (values["mu1_xi"] + values["mu2_xi"]) / (
+            fitted["mu1_xi"] + fitted["mu2_xi"]
+        )
         assert total == pytest.approx(scale**2, rel=2e-3)
         difference = (values["mu1_xi"] - values["mu2_xi"]) / (
-            fit["mu1_xi"] - fit["mu2_xi"]
+            fitted["mu1_xi"] - fitted["mu2_xi"]
         )
         assert difference == pytest.approx(0.054 / radius, rel=2e-3)
-    told = (
+    sentence = (
         "`--stone rho=0.1025` gives 0.0018, 0.0570 and 0.0176, which agree with eq. 28"
     )
-    assert told in shown(eq12_fit)
+    assert sentence in shown(eq12_fit)
     away = replace(
         eq12_fit.reference, values=eq12_fit.reference.values | {"mu2_xi": 0.068}
     )
@@ -241,7 +254,9 @@ def game_throw(every=60, step=0.002):
     """A throw of a game up to rest, without noise: constant friction and loss of
     spin, in frames, and a curl that grows toward rest faster than a constant
     transverse force does."""
-    v, omega, rows = 1.95, 2.75, []
+    v = 1.95
+    omega = 2.75
+    rows = []
     x = y = phi = heading = 0.0
     frame = 0
     while v > 0:
@@ -260,8 +275,9 @@ def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
     """The angle is exact if the stone rests no earlier than at the last row. There the
     fit ends; the optimum of x and y, with the rest there, is that of scipy."""
     throw = game_throw()
-    found = fit(throw, "semi-empirical", details=False)
-    t, rest = found.observed["t"], found.observed["t"][-1]
+    result = fit(throw, "semi-empirical", details=False)
+    t = result.observed["t"]
+    rest = result.observed["t"][-1]
     u = 1 - (1 - np.linspace(0, 1, 4001)) ** 2  # dense toward rest
 
     def path(values):
@@ -273,8 +289,8 @@ def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
         moved = cumulative_simpson(rates, x=u * rest, initial=0)
         return np.array([[x0], [y0]]) + CubicSpline(u * rest, moved, axis=1)(t)
 
-    observed = np.array([found.observed[name] for name in "xy"])
-    sigma = np.array([[found.sigma[name]] for name in "xy"])
+    observed = np.array([result.observed[name] for name in "xy"])
+    sigma = np.array([[result.sigma[name]] for name in "xy"])
     best = least_squares(
         lambda values: ((path(values) - observed) / sigma).ravel(),
         [0.008, -0.01, 0.0, 0.0, 0.0, 1.95],
@@ -284,5 +300,5 @@ def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
         gtol=1e-12,
     )
     x, y = np.sqrt(((path(best.x) - observed) ** 2).mean(1))
-    assert found.converged, found.status
-    assert [found.rms["x"], found.rms["y"]] == pytest.approx([x, y], rel=1e-3)
+    assert result.converged, result.status
+    assert [result.rms["x"], result.rms["y"]] == pytest.approx([x, y], rel=1e-3)

@@ -12,12 +12,12 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel
 def test_a_forecast_is_as_wide_as_the_spread_is_uncertain():
     """Throws that know their coefficient exactly: with a flat prior of the spread the
     next one has Student's t with two degrees of freedom less than throws."""
-    seen = np.array([1.1, 0.7, 1.9, 1.3, 0.4, 1.6])
-    number = len(seen)
+    coefficients = np.array([1.1, 0.7, 1.9, 1.3, 0.4, 1.6])
+    number = len(coefficients)
     error = 1e-4
     model = MixedModel.of(
         np.full((number, 1, 1), 1 / error),
-        seen[:, None] / error,
+        coefficients[:, None] / error,
         np.eye(1),
         np.zeros((number, 0)),
     )
@@ -39,10 +39,10 @@ def test_a_forecast_is_as_wide_as_the_spread_is_uncertain():
         drawn=np.concatenate([draws.estimate, draws.spreads], 1),
     )
     mean, forecast = means.draw({}, 20_000, np.random.default_rng(2), -far, far)
-    assert mean[0] == pytest.approx(seen.mean())
-    squares = ((seen - seen.mean()) ** 2).sum()
+    assert mean[0] == pytest.approx(coefficients.mean())
+    squares = ((coefficients - coefficients.mean()) ** 2).sum()
     scale = np.sqrt(squares / (number - 2) * (1 + 1 / number))
-    expected = student(number - 2, loc=seen.mean(), scale=scale)
+    expected = student(number - 2, loc=coefficients.mean(), scale=scale)
     for level in (0.025, 0.16, 0.5, 0.84, 0.975):
         # within three Monte Carlo errors of 1,000 draws of the spread
         reach = 3 * np.sqrt(level * (1 - level) / 1000)

@@ -38,35 +38,40 @@ def test_a_sum_is_found_with_its_error():
     random = np.random.default_rng(1)
     column = random.standard_normal((40, 2)) * 30
     jacobian = np.stack([column[:, 0], column[:, 1], column[:, 1]], 1)
-    found = _analysed(jacobian, ["a", "b", "c"], [1.0, 0.01, 0.01])
-    assert found.rank == 2
-    assert found.null_directions == ({"b": 1.0, "c": -1.0},)
-    (one,) = found.combinations
-    assert one.expression == "b + c"
-    assert one.value == 5.0
+    identifiability = _analysed(jacobian, ["a", "b", "c"], [1.0, 0.01, 0.01])
+    assert identifiability.rank == 2
+    assert identifiability.null_directions == ({"b": 1.0, "c": -1.0},)
+    (combination,) = identifiability.combinations
+    assert combination.expression == "b + c"
+    assert combination.value == 5.0
     exact = np.linalg.inv(column.T @ column)
-    assert one.stderr == pytest.approx(np.sqrt(exact[1, 1]), rel=1e-9)
-    np.testing.assert_array_equal(found.unseen, [False, True, True])
-    assert found.covariance[0, 0] == pytest.approx(exact[0, 0], rel=1e-9)
+    assert combination.stderr == pytest.approx(np.sqrt(exact[1, 1]), rel=1e-9)
+    np.testing.assert_array_equal(identifiability.unseen, [False, True, True])
+    assert identifiability.covariance[0, 0] == pytest.approx(exact[0, 0], rel=1e-9)
 
 
 def test_weights_follow_the_parameters_not_their_scaling():
     column = np.random.default_rng(2).standard_normal(20) * 1e4
     jacobian = np.stack([column, 3 * column], 1)  # only a + 3 b is seen
     for typical in ([1, 1], [1, 0.01], [0.3, 5]):
-        found = _analysed(jacobian, ["a", "b"], typical)
-        (one,) = found.combinations
-        assert one.weights["b"] / one.weights["a"] == pytest.approx(3, rel=1e-9)
-        (null,) = found.null_directions
+        identifiability = _analysed(jacobian, ["a", "b"], typical)
+        (combination,) = identifiability.combinations
+        assert combination.weights["b"] / combination.weights["a"] == pytest.approx(
+            3, rel=1e-9
+        )
+        (null,) = identifiability.null_directions
         assert null["a"] / null["b"] == pytest.approx(-3, rel=1e-9)
 
 
 def test_two_null_directions_leave_two_sums():
     base = np.random.default_rng(3).standard_normal((50, 2)) * 100
     jacobian = np.stack([base[:, 0], base[:, 1], base[:, 0], base[:, 1]], 1)
-    found = _analysed(jacobian, ["a", "b", "c", "d"])
-    assert found.rank == 2
-    assert {item.expression for item in found.combinations} == {"a + c", "b + d"}
+    identifiability = _analysed(jacobian, ["a", "b", "c", "d"])
+    assert identifiability.rank == 2
+    assert {combination.expression for combination in identifiability.combinations} == {
+        "a + c",
+        "b + d",
+    }
 
 
 @pytest.mark.parametrize(("share", "known"), [(0.0, True), (0.05, True), (0.2, False)])
@@ -74,12 +79,12 @@ def test_a_null_direction_moves_a_sum_by_what_its_parameters_may(share, known):
     """Only a - share b is measured: a is known as well as b is, of size 1."""
     error = 0.01
     slopes = np.array([[1.0, -share]]) / error
-    (found,) = wide_errors(slopes, np.array([[1.0, 0.0]]))
+    (wide_error,) = wide_errors(slopes, np.array([[1.0, 0.0]]))
     if known:
-        assert found == pytest.approx(np.hypot(error, UNKNOWN * share), rel=0.01)
-        assert found < WIDE
+        assert wide_error == pytest.approx(np.hypot(error, UNKNOWN * share), rel=0.01)
+        assert wide_error < WIDE
     else:
-        assert found == np.inf
+        assert wide_error == np.inf
 
 
 @pytest.mark.parametrize(
@@ -100,10 +105,10 @@ def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
     jacobian = np.stack(
         [1e12 * base[:, 0], 5 * (base[:, 1] + base[:, 2]), 5 * base[:, 1]], 1
     )
-    found = _analysed(jacobian, ["a", "b", "c"])
-    assert found.rank == 1
-    np.testing.assert_array_equal(found.unseen, [False, True, True])
-    assert not found.combinations
+    identifiability = _analysed(jacobian, ["a", "b", "c"])
+    assert identifiability.rank == 1
+    np.testing.assert_array_equal(identifiability.unseen, [False, True, True])
+    assert not identifiability.combinations
 
 
 def test_a_direction_that_only_the_bounds_limit_is_not_determined():
@@ -132,9 +137,11 @@ def test_the_singular_values_of_what_is_determined_come_first():
     lower = np.array([-9.0, 0.0, -1e6])
     upper = np.array([9.0, 0.1, 1e6])
     values = np.array([0.0, 0.05, 0.0])
-    found = determined_by(jacobian, ["a", "b", "c"], values, np.ones(3), lower, upper)
-    assert found.rank == 2
-    assert found.singular_values == pytest.approx([10.0, 0.02, 0.5])
+    identifiability = determined_by(
+        jacobian, ["a", "b", "c"], values, np.ones(3), lower, upper
+    )
+    assert identifiability.rank == 2
+    assert identifiability.singular_values == pytest.approx([10.0, 0.02, 0.5])
 
 
 def noisy(law, omega):
@@ -146,10 +153,10 @@ def test_a_parameter_at_its_bound_confines_no_direction_in_which_it_has_no_part(
     bounded = Bounded(
         np.array([3.9, 0.0, 0.01]), np.array([0.05, 0.0, 0.01]), np.full(3, 20.0)
     )
-    (found,) = bounded.alone_limit(
+    (confined,) = bounded.alone_limit(
         np.array([[1.0, 1e-17, -1e-17]]), np.array([0.95]), np.ones(3)
     )
-    assert not found
+    assert not confined
 
 
 def test_an_error_contains_the_values_where_another_coefficient_is_usual():
@@ -175,11 +182,14 @@ def test_no_sum_is_determined_where_what_fits_lies_on_a_curve():
 def test_a_sum_holds_that_hardly_changes_along_a_curve(eq12):
     """As friction goes from behind the centre to before it, under consistent load."""
     fit = curlfit.fit(eq12, load="consistent", details=False)
-    (one,) = fit.combinations
+    (combination,) = fit.combinations
     ends = [
         curlfit.fit(eq12, load="consistent", fix=held, sigma=fit.sigma, details=False)
         for held in ({"mu1_eta": 0.0}, {"mu2_eta": 0.0})
     ]
     assert ends[1].chi_squared < ends[0].chi_squared + 1
-    sums = [sum(w * end[name].value for name, w in one.weights.items()) for end in ends]
-    assert sums == pytest.approx([one.value] * 2, abs=one.stderr)
+    sums = [
+        sum(w * end[name].value for name, w in combination.weights.items())
+        for end in ends
+    ]
+    assert sums == pytest.approx([combination.value] * 2, abs=combination.stderr)

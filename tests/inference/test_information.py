@@ -31,9 +31,9 @@ def information_of(seed, values=VALUES):
 
 def stack(count):
     """Throws about the same values, along the first axis."""
-    each = [problem(seed) for seed in range(count)]
-    jacobians = np.stack([jacobian for jacobian, _ in each])
-    residuals = np.stack([residual for _, residual in each])
+    problems = [problem(seed) for seed in range(count)]
+    jacobians = np.stack([jacobian for jacobian, _ in problems])
+    residuals = np.stack([residual for _, residual in problems])
     values = np.tile(VALUES, (count, 1))
     return Information.of(NAMES, Bounded.none(values), TYPICAL, jacobians, residuals)
 
@@ -60,11 +60,12 @@ def test_information_about_other_values_is_that_of_the_residuals_there():
 
 
 def test_what_two_say_together_does_not_depend_on_where_each_is_linearized():
-    first, second = problem(0), problem(1)
+    first = problem(0)
+    second = problem(1)
     jacobian = np.concatenate([first[0], second[0]])
     residual = np.concatenate([first[1], second[1]])
-    both = Information.of(NAMES, Bounded.none(VALUES), TYPICAL, jacobian, residual)
-    assert_same(information_of(0) + information_of(1, VALUES + 0.1), both)
+    stacked = Information.of(NAMES, Bounded.none(VALUES), TYPICAL, jacobian, residual)
+    assert_same(information_of(0) + information_of(1, VALUES + 0.1), stacked)
 
 
 def test_a_sum_takes_one_that_is_about_fewer_parameters():
@@ -76,13 +77,13 @@ def test_a_sum_takes_one_that_is_about_fewer_parameters():
         np.array([[1 / 0.1]]),
         np.zeros(1),
     )
-    both = information_of(0) + measured
+    summed = information_of(0) + measured
     expected = information_of(0).normal_matrix
     expected[2, 2] += 1 / 0.1**2
-    np.testing.assert_allclose(both.normal_matrix, expected)
+    np.testing.assert_allclose(summed.normal_matrix, expected)
     expected_gradient = information_of(0).gradient
     expected_gradient[2] -= 0.5 / 0.1**2
-    np.testing.assert_allclose(both.gradient, expected_gradient)
+    np.testing.assert_allclose(summed.gradient, expected_gradient)
 
 
 def test_the_marginal_has_the_covariance_of_all():
@@ -119,10 +120,10 @@ def test_a_nuisance_parameter_at_its_bound_does_not_follow():
 
 def test_the_others_are_all_but_one():
     throws = stack(5)
-    others = throws.of_others()
+    of_others = throws.of_others()
     for row in range(5):
-        rest = [place for place in range(5) if place != row]
-        assert_same(others.at(row), throws.at(rest).together())
+        rest = [other for other in range(5) if other != row]
+        assert_same(of_others.at(row), throws.at(rest).together())
 
 
 def test_the_prior_decides_the_verdict_where_the_data_do_not():
@@ -137,8 +138,8 @@ def test_the_prior_decides_the_verdict_where_the_data_do_not():
     (total,) = alone.combinations
     assert (total.expression, total.value) == ("a + b", 3.0)
     assert total.stderr == pytest.approx(0.1)
-    known = data.with_rows(np.array([[0.0, 10.0, 0.0]]))
-    stderr, verdict, _ = Covariance.of(known, of_data=data).classified(0)
+    with_prior = data.with_rows(np.array([[0.0, 10.0, 0.0]]))
+    stderr, verdict, _ = Covariance.of(with_prior, of_data=data).classified(0)
     assert (stderr, verdict) == (pytest.approx(np.hypot(0.1, 0.1)), Verdict.PRIOR)
 
 

@@ -31,18 +31,20 @@ def sheet(count, law=None, seed=0, spread=0.0):
     random = np.random.default_rng(1000 + seed)
     law = law or LAW()
     throws = []
-    for place in range(count):
-        own = replace(law, mu2_xi=law.mu2_xi + spread * random.standard_normal())
+    for number in range(count):
+        law_of_throw = replace(
+            law, mu2_xi=law.mu2_xi + spread * random.standard_normal()
+        )
         throws.append(
             curlfit.synthetic_throw(
-                own,
+                law_of_throw,
                 STONE,
-                v0=2 + 0.02 * place,
-                omega0=SPINS[place % 3] * (-1) ** place,
-                heading=0.01 * place,
+                v0=2 + 0.02 * number,
+                omega0=SPINS[number % 3] * (-1) ** number,
+                heading=0.01 * number,
                 noise_xy=0.005,
                 noise_phi=0.01,
-                seed=100 * seed + place,
+                seed=100 * seed + number,
             )
         )
     return throws
@@ -77,38 +79,40 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
             [0.006, 0.045, 0.0175],
             *[
                 [
-                    one.parameters[n].value + 1e-3
+                    fit.parameters[n].value + 1e-3
                     for n in ("x0", "y0", "heading", "v0", "phi0", "omega0")
                 ]
-                for one in joint.throws
+                for fit in joint.throws
             ],
         ]
     )
     typical = np.concatenate([[0.01] * 3, [1.0] * 18])
-    found = least_squares(
+    by_scipy = least_squares(
         residuals, first, x_scale=typical, jac="3-point", xtol=1e-12, ftol=1e-12
     )
-    errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    for place, name in enumerate(("mu1_xi", "mu2_xi")):
-        item = joint.coefficients[name]
-        assert abs(item.value - found.x[place]) < 1e-3 * errors[place]
-        assert item.stderr == pytest.approx(errors[place], rel=1e-3)
+    errors = np.sqrt(np.diag(np.linalg.inv(by_scipy.jac.T @ by_scipy.jac)))
+    for index, name in enumerate(("mu1_xi", "mu2_xi")):
+        estimate = joint.coefficients[name]
+        assert abs(estimate.value - by_scipy.x[index]) < 1e-3 * errors[index]
+        assert estimate.stderr == pytest.approx(errors[index], rel=1e-3)
     (total,) = joint.combinations
     assert total.expression == "mu1_eta + mu2_eta"
-    assert abs(total.value - found.x[2]) < 1e-3 * errors[2]
+    assert abs(total.value - by_scipy.x[2]) < 1e-3 * errors[2]
     assert total.stderr == pytest.approx(errors[2], rel=1e-3)
     assert joint.identifiability.rank == joint.identifiability.parameters - 1
     # what a throw knows, the others included: predictions from it have these errors
-    for place, one in enumerate(joint.throws):
-        typical = one.parameter_set.typical
-        known = typical[:, None] * one.information.matrix * typical
-        own = typical * np.sqrt(np.diag(np.linalg.pinv(known, rcond=1e-12)))
-        for name, error in zip(one.information.names, own, strict=True):
+    for index, fit in enumerate(joint.throws):
+        typical = fit.parameter_set.typical
+        information = typical[:, None] * fit.information.matrix * typical
+        fit_errors = typical * np.sqrt(
+            np.diag(np.linalg.pinv(information, rcond=1e-12))
+        )
+        for name, error in zip(fit.information.names, fit_errors, strict=True):
             column = {"mu1_xi": 0, "mu2_xi": 1, "heading": 5, "v0": 6, "omega0": 8}.get(
                 name
             )
             if column is not None:
-                expected = errors[column + 6 * place * (column > 2)]
+                expected = errors[column + 6 * index * (column > 2)]
                 assert error == pytest.approx(expected, rel=1e-3)
 
 
@@ -119,12 +123,12 @@ def test_copies_of_a_throw_have_its_errors_over_the_root_of_their_number(three, 
     """Exactly so: the information on shared coefficients adds up."""
     alone = curlfit.fit(three[0], "front-back", loss=loss)
     joint = fit_together([three[0]] * 3, loss=loss)
-    for one, other in zip(alone.combinations, joint.combinations, strict=True):
-        assert other.value == pytest.approx(one.value, abs=1e-3 * one.stderr)
-        assert other.stderr == pytest.approx(one.stderr / np.sqrt(3), rel=1e-3)
+    for single, shared in zip(alone.combinations, joint.combinations, strict=True):
+        assert shared.value == pytest.approx(single.value, abs=1e-3 * single.stderr)
+        assert shared.stderr == pytest.approx(single.stderr / np.sqrt(3), rel=1e-3)
     for name in ("mu1_xi", "mu2_xi"):
-        found = joint.coefficients[name].stderr
-        assert found == pytest.approx(alone[name].stderr / np.sqrt(3), rel=1e-3)
+        stderr = joint.coefficients[name].stderr
+        assert stderr == pytest.approx(alone[name].stderr / np.sqrt(3), rel=1e-3)
 
 
 def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
@@ -134,23 +138,23 @@ def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
         )
         for throw in three
     ]
-    alone, joint = (
-        [curlfit.fit(throw, "front-back") for throw in short],
-        fit_together(short),
-    )
-    most = sum(one.n_observations for one in alone) - joint.identifiability.rank
+    alone = [curlfit.fit(throw, "front-back") for throw in short]
+    joint = fit_together(short)
+    most = sum(fit.n_observations for fit in alone) - joint.identifiability.rank
     for name in ("mu1_xi", "mu2_xi"):
-        assert max(one[name].dof for one in alone) < joint.coefficients[name].dof < most
+        assert max(fit[name].dof for fit in alone) < joint.coefficients[name].dof < most
         low, high = joint.coefficients[name].interval()
         assert high - low < min(
-            one[name].interval()[1] - one[name].interval()[0] for one in alone
+            fit[name].interval()[1] - fit[name].interval()[0] for fit in alone
         )
     (total,) = joint.combinations
-    assert max(one.combinations[0].dof for one in alone) < total.dof < most
-    given = fit_together(
+    assert max(fit.combinations[0].dof for fit in alone) < total.dof < most
+    with_sigma = fit_together(
         [throw.with_sigma({"x": 5e-3, "y": 5e-3, "phi": 0.01}) for throw in short]
     )
-    assert given.coefficients["mu1_xi"].dof is given.combinations[0].dof is None
+    assert (
+        with_sigma.coefficients["mu1_xi"].dof is with_sigma.combinations[0].dof is None
+    )
 
 
 def test_a_bound_that_all_throws_press_on_is_said_once(three):
@@ -167,7 +171,7 @@ def test_a_bound_that_all_throws_press_on_is_said_once(three):
 def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     spread = 0.002
     joint = fit_together(sheet(4, spread=spread), share="all")
-    varying = {item.expression: item for item in joint.variation}
+    varying = {variation.expression: variation for variation in joint.variation}
     assert varying["mu2_xi"].significant
     assert not varying["mu1_xi"].significant
     assert not varying["mu1_eta + mu2_eta"].significant
@@ -191,9 +195,11 @@ def test_a_coefficient_may_be_each_throw_s_own():
     throws = sheet(3, spread=0.003, seed=4)
     joint = fit_together(throws, share=["mu1_xi", "mu1_eta", "mu2_eta"])
     assert set(joint.coefficients) == {"mu1_xi", "mu1_eta", "mu2_eta"}
-    for one, throw in zip(joint.throws, throws, strict=True):
-        item = one.parameters["mu2_xi"]
-        assert abs(item.value - throw.reference.values["mu2_xi"]) < 4 * item.stderr
+    for fit, throw in zip(joint.throws, throws, strict=True):
+        estimate = fit.parameters["mu2_xi"]
+        assert (
+            abs(estimate.value - throw.reference.values["mu2_xi"]) < 4 * estimate.stderr
+        )
 
 
 def test_throws_of_different_lengths_and_channels_go_together(three):
@@ -204,8 +210,8 @@ def test_throws_of_different_lengths_and_channels_go_together(three):
     ]
     joint = fit_together(some)
     assert joint.converged
-    item = joint.coefficients["mu2_xi"]
-    assert abs(item.value - 0.05) < 4 * item.stderr
+    estimate = joint.coefficients["mu2_xi"]
+    assert abs(estimate.value - 0.05) < 4 * estimate.stderr
 
 
 def test_what_cannot_be_fitted_together_is_refused(three):
@@ -223,7 +229,7 @@ def test_what_cannot_be_fitted_together_is_refused(three):
 
 
 def test_a_warning_of_several_throws_is_one():
-    old, of_all, own = (
+    old, of_all, of_one = (
         Finding.warning("text", text=text) for text in ("old", "all", "own")
     )
     warnings_by_file = {
@@ -231,13 +237,13 @@ def test_a_warning_of_several_throws_is_one():
         "b": (old, of_all),
         "c": (old, of_all),
         "d": (old, of_all),
-        "e": (of_all, own),
+        "e": (of_all, of_one),
     }
     throws = [
         SimpleNamespace(data=SimpleNamespace(file=file), warnings=warnings)
         for file, warnings in warnings_by_file.items()
     ]
-    assert warnings_of(throws) == [old.of("a", "b", "c", "d"), of_all, own.of("e")]
+    assert warnings_of(throws) == [old.of("a", "b", "c", "d"), of_all, of_one.of("e")]
     assert [str(warning) for warning in warnings_of(throws)] == [
         "a, b and 2 more: old",
         "all",
@@ -248,7 +254,7 @@ def test_a_warning_of_several_throws_is_one():
 def test_on_the_command_line(three, tmp_path):
     from curlfit.throws.synthetic import write_table
 
-    names = [f"throw{place}.csv" for place in range(3)]
+    names = [f"throw{number}.csv" for number in range(3)]
     for name, throw in zip(names, three, strict=True):
         (tmp_path / name).write_text(write_table(throw))
 
@@ -309,39 +315,46 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
 
     In the joint fit a throw's misfit to the common value is part of its residuals.
     """
-    random, throws = np.random.default_rng(500), []
-    for place, factor in enumerate(1 + 0.008 * random.standard_normal(4)):
+    random = np.random.default_rng(500)
+    throws = []
+    for number, factor in enumerate(1 + 0.008 * random.standard_normal(4)):
         law = LAW(mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
         throws.append(
             curlfit.synthetic_throw(
                 law,
                 STONE,
                 load=load,
-                v0=2 + 0.02 * place,
+                v0=2 + 0.02 * number,
                 noise_xy=0.005,
                 noise_phi=0.01,
-                omega0=SPINS[place % 3] * (-1) ** place,
-                seed=place,
+                omega0=SPINS[number % 3] * (-1) ** number,
+                seed=number,
             ).with_defaults(load=load)
         )
     joint = fit_together(throws, share="all")
     assert joint.load == joint.throws[0].load == load
-    (total,) = (item for item in joint.combinations if "mu1_eta" in item.weights)
+    (total,) = (
+        combination
+        for combination in joint.combinations
+        if "mu1_eta" in combination.weights
+    )
     (differs,) = (
-        item for item in joint.variation if item.expression == total.expression
+        variation
+        for variation in joint.variation
+        if variation.expression == total.expression
     )
     weights = [total.weights["mu1_eta"], total.weights["mu2_eta"]]
     alone = [curlfit.fit(throw, details=False) for throw in throws]
     split = 1 if load == "uniform" else 0.98  # the path determines about this sum
-    values = [one.combinations[0].value * sum(weights) / (1 + split) for one in alone]
+    values = [fit.combinations[0].value * sum(weights) / (1 + split) for fit in alone]
     scatter = np.std(values, ddof=1)
     assert differs.stderr == pytest.approx(scatter / 2, rel=0.05)
     assert differs.spread == pytest.approx(scatter, rel=0.05)
     assert total.stderr == differs.shared_stderr
     assert differs.stderr <= total.stderr < 1.5 * differs.stderr
     assert total.dof == 3
-    for (_, error), one in zip(differs.each, alone, strict=True):
-        assert error == pytest.approx(one.combinations[0].stderr, rel=0.1)
+    for (_, error), fit in zip(differs.each, alone, strict=True):
+        assert error == pytest.approx(fit.combinations[0].stderr, rel=0.1)
     true = 0.009 * sum(weights)
     assert abs(total.value - true) < 3 * total.stderr
     varying = fit_together(throws)
@@ -360,26 +373,28 @@ def test_tracks_without_an_angle_tell_together_what_each_tells_alone():
     throws = curlfit.load_throws(*(folder / f"{name}.csv" for name in truth))
     joint = curlfit.fit_together(throws, law="front-back")
     assert joint.converged
-    combinations = {item.expression: item for item in joint.combinations}
+    combinations = {
+        combination.expression: combination for combination in joint.combinations
+    }
     forward = combinations["mu1_xi + mu2_xi"]
     assert forward.value == pytest.approx(0.0508, abs=2 * forward.stderr)
-    by_throw = {item.expression: item.each for item in joint.variation}
+    by_throw = {variation.expression: variation.each for variation in joint.variation}
     sums = by_throw["mu1_eta + mu2_eta"]
     for (value, stderr), right, throw in zip(sums, truth.values(), throws, strict=True):
         assert value == pytest.approx(right, abs=3 * stderr)
         alone = curlfit.fit(throw, "front-back", details=False)
         (same,) = [
-            item
-            for item in alone.combinations
-            if item.expression == "mu1_eta + mu2_eta"
+            combination
+            for combination in alone.combinations
+            if combination.expression == "mu1_eta + mu2_eta"
         ]
         assert value == pytest.approx(same.value, abs=0.01 * stderr)
         assert stderr == pytest.approx(same.stderr, rel=1e-3)
     assert joint.coefficients["mu1_xi"].verdict in ("weak", "at bound")
-    told = {effect.parameter for effect in joint.groups}
-    assert not {"mu1_xi", "mu2_xi"} & told
+    parameters = {effect.parameter for effect in joint.groups}
+    assert not {"mu1_xi", "mu2_xi"} & parameters
     # at the angle and the coefficients of one point of the ridge
-    (curl,) = [one for one in joint.groups if one.parameter == "curl"]
+    (curl,) = [effect for effect in joint.groups if effect.parameter == "curl"]
     assert 0.5 < curl.value < 1.5
 
 
@@ -389,7 +404,7 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     random = np.random.default_rng(8)
     error = np.array([1, 2, 1, 0.3, 4, 1, 2, 0.5])
     value = 10 + random.standard_normal(8) * np.hypot(error, 3.0)
-    item = _variation(
+    variation = _variation(
         "mu", list(zip(value, error, strict=True)), error**-2.0, np.zeros((8, 0))
     )
 
@@ -397,12 +412,12 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
         weight = 1 / (error**2 + variance)
         return weight @ (value - np.average(value, weights=weight)) ** 2 - 7
 
-    assert item.spread == pytest.approx(np.sqrt(brentq(excess, 0, 1e3)), rel=1e-6)
-    weight = 1 / (error**2 + item.spread**2)
-    assert item.mean == pytest.approx(np.average(value, weights=weight))
-    assert item.stderr == pytest.approx(weight.sum() ** -0.5)
+    assert variation.spread == pytest.approx(np.sqrt(brentq(excess, 0, 1e3)), rel=1e-6)
+    weight = 1 / (error**2 + variation.spread**2)
+    assert variation.mean == pytest.approx(np.average(value, weights=weight))
+    assert variation.stderr == pytest.approx(weight.sum() ** -0.5)
     alike = _variation(
-        "mu", [(10.0, one) for one in error], error**-2.0, np.zeros((8, 0))
+        "mu", [(10.0, stderr) for stderr in error], error**-2.0, np.zeros((8, 0))
     )
     assert (alike.spread, alike.p_value) == (0.0, 1.0)
     assert (
@@ -413,8 +428,8 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
 
 
 def test_a_report_begins_with_what_the_warnings_are_about(eq12_fit):
-    said = shown(eq12_fit)
-    assert "Caution: the residuals are correlated from row to row. parameter" in said
+    report = shown(eq12_fit)
+    assert "Caution: the residuals are correlated from row to row. parameter" in report
     at_bound = Finding.warning("at-bound", name="mu2_xi", lower=0.0, upper=0.04)
     warned = replace(eq12_fit, warnings=(at_bound, at_bound))
     assert "Caution: mu2_xi is at its bound. parameter" in shown(warned)

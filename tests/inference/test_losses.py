@@ -49,14 +49,16 @@ def test_derivatives(loss):
         return root(r) ** 2 / 2
 
     slopes = jax.grad(root), jax.grad(half), jax.grad(jax.grad(half))
-    slope, psi, bend = jax.jit(jax.vmap(lambda r: [one(r) for one in slopes]))(R)
+    slope, psi, bend = jax.jit(
+        jax.vmap(lambda r: [derivative(r) for derivative in slopes])
+    )(R)
     assert np.isfinite(slope[R == 0]).all()
     some = np.abs(R) > 1e-6
     np.testing.assert_allclose(loss.root_slope(R)[some], slope[some], rtol=1e-6)
     np.testing.assert_allclose(loss.psi(R)[some], psi[some], rtol=1e-7)
     some &= np.abs(np.abs(R) - 1.345) > 1e-3
-    found = loss.psi_slope(R)[some]
-    np.testing.assert_allclose(found, bend[some], rtol=1e-5, atol=1e-7)
+    psi_slope = loss.psi_slope(R)[some]
+    np.testing.assert_allclose(psi_slope, bend[some], rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
@@ -69,8 +71,10 @@ def test_every_loss_is_the_likelihood_of_some_noise(loss):
         fall = -2 * np.log(density(r) / density(0.0))
         assert fall == pytest.approx(float(loss.signed_root(r)) ** 2, rel=1e-9)
     if loss.name in ("linear", "student"):
-        known = norm if loss.name == "linear" else t(4)
-        np.testing.assert_allclose(loss.log_density(R), known.logpdf(R), rtol=1e-9)
+        distribution = norm if loss.name == "linear" else t(4)
+        np.testing.assert_allclose(
+            loss.log_density(R), distribution.logpdf(R), rtol=1e-9
+        )
 
 
 @pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
@@ -81,12 +85,12 @@ def test_the_likeliest_sigma(loss):
     def minus_log(log_sigma):
         return -(loss.log_density(values / np.exp(log_sigma)) - log_sigma).sum()
 
-    found = loss.likeliest_sigma(values)
+    sigma = loss.likeliest_sigma(values)
     best = minimize_scalar(minus_log, bounds=(np.log(1e-3), 0), method="bounded")
-    assert np.log(found) == pytest.approx(best.x, abs=1e-4)
+    assert np.log(sigma) == pytest.approx(best.x, abs=1e-4)
     if loss.name == "student":
-        assert found == pytest.approx(t.fit(values, fdf=4, floc=0)[2], rel=1e-3)
-        assert found == pytest.approx(0.03, rel=0.05)
+        assert sigma == pytest.approx(t.fit(values, fdf=4, floc=0)[2], rel=1e-3)
+        assert sigma == pytest.approx(0.03, rel=0.05)
     assert loss.likeliest_sigma(np.zeros(9)) == 1e-12
 
 
@@ -117,12 +121,14 @@ def plain(clean):
 @pytest.fixture(scope="module")
 def spoiled(clean):
     random = np.random.default_rng(1)
-    channels, hit = {}, {}
+    channels = {}
+    hit = {}
     for name, size in (("x", 0.3), ("y", 1.0), ("phi", 2.0)):
         values = getattr(clean, name).copy()
         rows = random.choice(len(values), len(values) // 20, replace=False)
         values[rows] += size * np.sign(random.standard_normal(len(rows)))
-        channels[name], hit[name] = values, {float(clean.t[row]) for row in rows}
+        channels[name] = values
+        hit[name] = {float(clean.t[row]) for row in rows}
     return replace(clean, **channels), hit
 
 
@@ -135,21 +141,26 @@ def test_five_percent_outliers_move_nothing_by_a_standard_error(
     before, after = (
         curlfit.fit(throw, loss=loss, details=False) for throw in (clean, spoiled[0])
     )
-    one, other = plain["mu2_xi"], before["mu2_xi"]  # clean data lose next to nothing
-    assert other.stderr / one.stderr < 1.1
-    assert abs(other.value - one.value) < one.stderr
+    # clean data lose next to nothing
+    reference = plain["mu2_xi"]
+    estimate = before["mu2_xi"]
+    assert estimate.stderr / reference.stderr < 1.1
+    assert abs(estimate.value - reference.value) < reference.stderr
     for name in ("mu1_xi", "mu2_xi", "v0", "omega0", "heading"):
-        one, other = before.parameters[name], after.parameters[name]
-        assert abs(one.value - other.value) < one.stderr, name
-        assert 0.95 < other.stderr / one.stderr < 1.4
-    (one,), (other,) = before.combinations, after.combinations
-    assert abs(one.value - other.value) < one.stderr
+        reference = before.parameters[name]
+        estimate = after.parameters[name]
+        assert abs(reference.value - estimate.value) < reference.stderr, name
+        assert 0.95 < estimate.stderr / reference.stderr < 1.4
+    (reference,) = before.combinations
+    (estimate,) = after.combinations
+    assert abs(reference.value - estimate.value) < reference.stderr
 
 
 def test_least_squares_is_pulled_and_says_so(plain, spoiled):
     after = curlfit.fit(spoiled[0])
-    one, other = plain.parameters["mu1_xi"], after.parameters["mu1_xi"]
-    assert abs(one.value - other.value) > 3 * one.stderr
+    reference = plain.parameters["mu1_xi"]
+    pulled = after.parameters["mu1_xi"]
+    assert abs(reference.value - pulled.value) > 3 * reference.stderr
     assert Option("loss", "student") in finding_of(after, "outliers").options
     assert not plain.outliers
 
@@ -158,7 +169,9 @@ def test_outliers_are_called_by_name(spoiled):
     throw, hit = spoiled
     fit = curlfit.fit(throw, loss="student")
     for name, times in hit.items():
-        assert {item["t"] for item in fit.outliers if item["channel"] == name} == times
+        assert {
+            outlier["t"] for outlier in fit.outliers if outlier["channel"] == name
+        } == times
     text = outliers(fit)
     assert text.count(" by ") == 6
     assert f"and {len(fit.outliers) - 6} more" in text

@@ -18,7 +18,7 @@ from curlfit.numerics.batches import BATCH, stacked
 @pytest.fixture(scope="module")
 def throws():
     """Throws of 60 rows, an outlier in the first, correlated noise in both."""
-    found = []
+    noisy_throws = []
     for seed in range(2):
         random = np.random.default_rng(seed)
         start = {"v": 1.9 + 0.1 * seed, "omega": (-1) ** seed * 1.5, "heading": 0.02}
@@ -28,8 +28,10 @@ def throws():
             noise[:, row] = 0.7 * noise[:, row - 1] + random.standard_normal(3)
         path = path + noise * [[0.004], [0.004], [0.008]]
         path[0, 30] += 0.3 * (seed == 0)
-        found.append(curlfit.Throw.from_arrays(TIMES[:180:3], *path, name=f"{seed}"))
-    return found
+        noisy_throws.append(
+            curlfit.Throw.from_arrays(TIMES[:180:3], *path, name=f"{seed}")
+        )
+    return noisy_throws
 
 
 BOUNDED = {
@@ -55,12 +57,17 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
         assert many.converged
         assert alone.converged
         assert many.noise.kind == alone.noise.kind
-        for name, item in alone.parameters.items():
-            other = many.parameters[name]
-            assert (other.verdict, other.prior) == (item.verdict, item.prior)
-            if item.stderr is not None:
-                assert other.value == pytest.approx(item.value, abs=1e-3 * item.stderr)
-                assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
+        for name, estimate in alone.parameters.items():
+            in_batch = many.parameters[name]
+            assert (in_batch.verdict, in_batch.prior) == (
+                estimate.verdict,
+                estimate.prior,
+            )
+            if estimate.stderr is not None:
+                assert in_batch.value == pytest.approx(
+                    estimate.value, abs=1e-3 * estimate.stderr
+                )
+                assert in_batch.stderr == pytest.approx(estimate.stderr, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -68,12 +75,13 @@ def test_paths_side_by_side_are_those_of_single_throws():
     """With vectors of 512 bits XLA compiles this law wrongly, for a whole
     batch at a time."""
     law = LAWS["debris"]
-    start, stone = curlfit.InitialState(v=2.1, omega=-2.6), Stone()
+    start = curlfit.InitialState(v=2.1, omega=-2.6)
+    stone = Stone()
     t = np.arange(60) * 0.25
     path = curlfit.simulate(law(), stone, start, t).to_numpy()
     throw = curlfit.Throw.from_arrays(t, path.x, path.y, path.phi)
     problem = build_problem(throw, stone, dict.fromkeys(("x", "y", "phi"), 1.0))
-    defaults = [item.default for item in law.coefficients()]
+    defaults = [coefficient.default for coefficient in law.coefficients()]
     values = np.array([*defaults, 0.0, 0.0, 0.0, 2.1, 0.0, -2.6])
     residual, _ = linearize(
         Model(law, "uniform"), np.tile(values, (BATCH, 1)), stacked([problem] * BATCH)

@@ -46,12 +46,12 @@ def thrown(seed, correlation=0.0, law="front-back", true=TRUE, times=T):
 
 def operator(whitener, rows, channel):
     """The matrix that makes a channel of three independent."""
-    found = np.zeros((rows, rows))
-    for place in range(rows):
+    matrix = np.zeros((rows, rows))
+    for row in range(rows):
         unit = np.zeros((3, rows))
-        unit[channel, place] = 1.0
-        found[:, place] = np.asarray(whitened(unit, whitener))[channel]
-    return found
+        unit[channel, row] = 1.0
+        matrix[:, row] = np.asarray(whitened(unit, whitener))[channel]
+    return matrix
 
 
 def ornstein_uhlenbeck(times, memory, white):
@@ -68,10 +68,12 @@ def test_correlated_noise_is_made_independent_across_gaps():
     whitener = Whitener.of(noise, times, weight, 0)
     for channel, memory, white in ((0, 0.4, 0.0), (1, 1.5, 0.3)):
         w = operator(whitener, 60, channel)
-        seen = np.flatnonzero(weight[channel])
-        covariance = ornstein_uhlenbeck(times[seen], memory, white)
-        made = w[np.ix_(seen, seen)] @ covariance @ w[np.ix_(seen, seen)].T
-        np.testing.assert_allclose(made, np.eye(len(seen)), atol=1e-10)
+        rows = np.flatnonzero(weight[channel])
+        covariance = ornstein_uhlenbeck(times[rows], memory, white)
+        whitened_covariance = (
+            w[np.ix_(rows, rows)] @ covariance @ w[np.ix_(rows, rows)].T
+        )
+        np.testing.assert_allclose(whitened_covariance, np.eye(len(rows)), atol=1e-10)
         determinant = -np.linalg.slogdet(covariance)[1] / 2
         assert whitener.log_determinant()[channel] == pytest.approx(
             determinant, rel=1e-8
@@ -85,25 +87,27 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
     random = np.random.default_rng(3)
     t = np.cumsum(random.choice([0.1, 0.2, 0.35], 50))
     weight = np.where(random.random((2, 50)) < 0.9, [[3.0], [0.5]], 0.0)
-    jacobian, responses = (
-        random.standard_normal((2, 50, 4)),
-        random.standard_normal((2, 50, 3 * SHAPES)),
-    )
+    jacobian = random.standard_normal((2, 50, 4))
+    responses = random.standard_normal((2, 50, 3 * SHAPES))
     residual = np.where(weight > 0, random.standard_normal((2, 50)), 0.0)
     data = Linearized.of(
         t, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2
     )._replace(span=np.asarray(9.0), responses=responses)
-    seen = weight.ravel() > 0
-    j, s = (part.reshape(100, -1)[seen] for part in (jacobian, responses))
-    r, sigma = residual.ravel()[seen], 1 / weight.ravel()[seen]
+    measured = weight.ravel() > 0
+    j, s = (part.reshape(100, -1)[measured] for part in (jacobian, responses))
+    r = residual.ravel()[measured]
+    sigma = 1 / weight.ravel()[measured]
 
     def expected(logs):
-        scale, share = np.exp(logs[:2]), 1 / (1 + np.exp(-logs[2:4]))
+        scale = np.exp(logs[:2])
+        share = 1 / (1 + np.exp(-logs[2:4]))
         blocks = [
             ornstein_uhlenbeck(t, np.exp(logs[4]), share[row]) * scale[row] ** 2
             for row in (0, 1)
         ]
-        covariance = sigma[:, None] * block_diag(*blocks)[np.ix_(seen, seen)] * sigma
+        covariance = (
+            sigma[:, None] * block_diag(*blocks)[np.ix_(measured, measured)] * sigma
+        )
         # of the estimates of least squares, whatever the noise
         change = np.linalg.lstsq(j / sigma[:, None], s / sigma[:, None], rcond=None)[0]
         free = np.repeat(np.exp(2 * logs[5:]), SHAPES)
@@ -118,8 +122,10 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
 
     first = np.array([0.1, -0.2, 0.3, -2.0, -1.0, -1.0, -2.0, -3.0])
     second = np.array([0.3, 0.2, -1.0, 2.0, 0.5, -3.0, -1.5, -1.0])
-    found = [float(_slope("discrepancy", logs, data)[2]) for logs in (first, second)]
-    assert found[0] - found[1] == pytest.approx(
+    likelihoods = [
+        float(_slope("discrepancy", logs, data)[2]) for logs in (first, second)
+    ]
+    assert likelihoods[0] - likelihoods[1] == pytest.approx(
         expected(first) - expected(second), rel=1e-6
     )
     _, slope, _ = _slope("discrepancy", first, data)
@@ -154,10 +160,10 @@ def test_every_filter_is_that_of_noise_of_variance_1(noise):
 
     random = np.random.default_rng(1)
     times = np.cumsum(random.uniform(0.05, 0.3, 40))
-    seen = random.random((3, 40)) < 0.8
-    of_noise = filter_of(estimated, times, seen)
+    measured = random.random((3, 40)) < 0.8
+    of_noise = filter_of(estimated, times, measured)
     for channel in range(3):
-        rows = np.flatnonzero(seen[channel])
+        rows = np.flatnonzero(measured[channel])
         columns = np.zeros((3, 40, 40))
         columns[channel] = np.eye(40)
         whitening = np.asarray(of_noise.innovations(columns))[channel][rows][:, rows]
@@ -188,9 +194,9 @@ def test_every_noise_is_fitted_said_and_saved(noise, tmp_path):
 
 def test_every_noise_is_a_choice():
     for name, noise in NOISES.items():
-        for given in (name, noise):
-            assert Modelling.of(noise=given).noise == noise
-            assert Comparing.of(noise=[given, given]).noise == (noise,)
+        for choice in (name, noise):
+            assert Modelling.of(noise=choice).noise == noise
+            assert Comparing.of(noise=[choice, choice]).noise == (noise,)
         assert Modelling.of(noise=name).words()[-1] == f"--noise={name}"
     help_of_fit = Modelling.help("noise")
     for name, noise in NOISES.items():
@@ -207,9 +213,9 @@ def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
         curlfit.fit(throw, noise=kind, details=False) for kind in ("white", noise)
     )
     assert other.converged
-    for name, item in white.coefficients.items():
-        if item.verdict == "determined":
-            assert other[name].value == pytest.approx(item.value, rel=0.1)
+    for name, estimate in white.coefficients.items():
+        if estimate.verdict == "determined":
+            assert other[name].value == pytest.approx(estimate.value, rel=0.1)
     for before, after in zip(white.combinations, other.combinations, strict=True):
         assert after.value == pytest.approx(before.value, rel=0.1)
     for name, size in white.rms.items():
@@ -219,17 +225,19 @@ def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
 
 def test_independence_by_hand():
     signs = np.array([1.0, 1, 1, -1, -1, 1, -1, -1, -1, 1])  # 5 of each, 5 runs
-    found = Independence.of(signs)
-    assert found.runs == pytest.approx((5 - 6) / np.sqrt(5 * 4 / 9))
-    assert found.lag1 == pytest.approx(0.1)  # five neighbours agree, four do not
-    assert found.effective == pytest.approx(10 * 0.9 / 1.1)
-    assert not found.doubtful
+    of_signs = Independence.of(signs)
+    assert of_signs.runs == pytest.approx((5 - 6) / np.sqrt(5 * 4 / 9))
+    assert of_signs.lag1 == pytest.approx(0.1)  # five neighbours agree, four do not
+    assert of_signs.effective == pytest.approx(10 * 0.9 / 1.1)
+    assert not of_signs.doubtful
     white = [
         Independence.of(np.random.default_rng(k).standard_normal(150))
         for k in range(400)
     ]
-    assert not any(item.doubtful for item in white)
-    assert np.std([item.runs for item in white]) == pytest.approx(1, abs=0.1)
+    assert not any(independence.doubtful for independence in white)
+    assert np.std([independence.runs for independence in white]) == pytest.approx(
+        1, abs=0.1
+    )
     walk = np.cumsum(np.random.default_rng(0).standard_normal(150))
     assert Independence.of(walk).doubtful
     assert Independence.of(walk).effective < 10
@@ -240,35 +248,40 @@ def test_white_noise_is_told_from_noise_with_a_memory():
     assert "correlated" not in codes_of(white)
     other = curlfit.fit(thrown(3), "front-back", noise="ar1")
     for name in ("mu1_xi", "mu2_xi", "v0"):
-        one, two = white.parameters[name], other.parameters[name]
-        assert two.stderr == pytest.approx(one.stderr, rel=0.25)
-        assert abs(two.value - one.value) < one.stderr
-    told = curlfit.fit(thrown(3, 0.9), "front-back")
-    (remedy,) = finding_of(told, "correlated").remedies
+        of_white = white.parameters[name]
+        of_ar1 = other.parameters[name]
+        assert of_ar1.stderr == pytest.approx(of_white.stderr, rel=0.25)
+        assert abs(of_ar1.value - of_white.value) < of_white.stderr
+    with_memory = curlfit.fit(thrown(3, 0.9), "front-back")
+    (remedy,) = finding_of(with_memory, "correlated").remedies
     assert remedy.option == Option("noise", "ar1")
     assert "`--noise ar1`, which was tried, leaves independent residuals" in str(remedy)
-    assert told.independence["y"].effective < 40
+    assert with_memory.independence["y"].effective < 40
 
 
 def test_the_memory_of_the_noise_is_found():
-    lasting, sizes = [], []
+    memories = []
+    sizes = []
     for seed in range(4):
-        found = curlfit.fit(thrown(seed, 0.8), noise="ar1", details=False)
-        lasting += [found.noise.memory[name] for name in SIGMA]
-        sizes += [found.sigma[name] / SIGMA[name] for name in SIGMA]
-        assert not {"correlated", "noise-not-described"} & set(codes_of(found))
-        assert max(abs(item.lag1) for item in found.independence.values()) < 0.35
-    assert np.exp(np.mean(np.log(lasting))) == pytest.approx(
+        fit = curlfit.fit(thrown(seed, 0.8), noise="ar1", details=False)
+        memories += [fit.noise.memory[name] for name in SIGMA]
+        sizes += [fit.sigma[name] / SIGMA[name] for name in SIGMA]
+        assert not {"correlated", "noise-not-described"} & set(codes_of(fit))
+        assert (
+            max(abs(independence.lag1) for independence in fit.independence.values())
+            < 0.35
+        )
+    assert np.exp(np.mean(np.log(memories))) == pytest.approx(
         -0.1 / np.log(0.8), rel=0.25
     )
     assert np.mean(sizes) == pytest.approx(1, abs=0.15)
 
 
 def test_given_sigmas_are_kept():
-    given = thrown(1, 0.8).with_sigma(SIGMA)
-    found = curlfit.fit(given, "front-back", noise="ar1")
-    assert found.sigma == {}
-    assert all(0.1 < value < 2 for value in found.noise.memory.values())
+    throw = thrown(1, 0.8).with_sigma(SIGMA)
+    fit = curlfit.fit(throw, "front-back", noise="ar1")
+    assert fit.sigma == {}
+    assert all(0.1 < value < 2 for value in fit.noise.memory.values())
 
 
 def test_what_cannot_be_combined_is_refused():

@@ -47,13 +47,13 @@ def test_a_known_spin_determines_what_the_warning_says():
     (open_, _) = fits_of("no_angle_transverse.csv", "power+transverse", sigma=NOISE)
     throw = curlfit.load_throw(FOLDER / "no_angle_transverse.csv")
     law = "power+transverse"
-    known = curlfit.fit(
+    with_spin = curlfit.fit(
         throw, law, sigma=NOISE, priors={"omega0": "1.1+-0.05"}, details=False
     )
     promised = curve_warning(open_).partition("determine b to ")[2].split()[0]
     # which is at another spin: the error of b falls with its square
-    assert known["b"].stderr == pytest.approx(float(promised), rel=0.3)
-    assert known["b"].value == pytest.approx(0.05, abs=2 * known["b"].stderr)
+    assert with_spin["b"].stderr == pytest.approx(float(promised), rel=0.3)
+    assert with_spin["b"].value == pytest.approx(0.05, abs=2 * with_spin["b"].stderr)
 
 
 def test_the_forward_friction_is_determined_without_the_angle():
@@ -122,7 +122,8 @@ def test_the_posterior_does_not_contradict_a_verdict(file, law):
     throw = curlfit.load_throw(FOLDER / file)
     fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
     fit, _ = curlfit.sample(fit, seed=1, effective=500)
-    sd, mean = fit.posterior.sd, fit.posterior.mean
+    sd = fit.posterior.sd
+    mean = fit.posterior.mean
     names = [name for name in fit.parameters if fit[name].verdict == "determined"]
     names += [combination.expression for combination in fit.combinations]
     assert {"v0", "heading"} <= {*names}
@@ -142,12 +143,21 @@ def test_compare_says_of_a_throw_what_its_fit_says(file, law):
     throw = curlfit.load_throw(FOLDER / file)
     fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
     (candidate,) = curlfit.compare(throw, [law], sigma=NOISE).candidates
-    verdicts = {name: item["verdict"] for name, item in candidate.coefficients.items()}
-    assert verdicts == {name: item.verdict for name, item in fit.coefficients.items()}
-    expressions = {item["expression"] for item in candidate.combinations}
+    verdicts = {
+        name: coefficient["verdict"]
+        for name, coefficient in candidate.coefficients.items()
+    }
+    assert verdicts == {
+        name: coefficient.verdict for name, coefficient in fit.coefficients.items()
+    }
+    expressions = {combination["expression"] for combination in candidate.combinations}
     of_law = fit.coefficients.keys()
-    sums = [item for item in fit.combinations if item.weights.keys() & of_law]
-    assert expressions == {item.expression for item in sums}
+    sums = [
+        combination
+        for combination in fit.combinations
+        if combination.weights.keys() & of_law
+    ]
+    assert expressions == {combination.expression for combination in sums}
 
 
 def test_compare_of_several_tracks_says_of_no_force_that_it_is_at_its_bound():
@@ -156,13 +166,13 @@ def test_compare_of_several_tracks_says_of_no_force_that_it_is_at_its_bound():
     for seed, v0 in enumerate((2.0, 2.2)):
         law = curlfit.LAWS["power-angular"]()
         motion = {"v0": v0, "omega0": 1.1, "until": 18.0, "dt": 0.1}
-        whole = curlfit.synthetic_throw(
+        with_angle = curlfit.synthetic_throw(
             law, curlfit.Stone(), **motion, noise_xy=0.005, seed=seed
         )
-        columns = {"x": whole.x, "y": whole.y}
+        columns = {"x": with_angle.x, "y": with_angle.y}
         name = f"throw {seed}"
         throws.append(
-            curlfit.Throw.from_arrays(whole.t, **columns, sigma=NOISE, name=name)
+            curlfit.Throw.from_arrays(with_angle.t, **columns, sigma=NOISE, name=name)
         )
     (candidate,) = curlfit.compare(throws, ["power-angular"]).candidates
     coefficients = candidate.coefficients

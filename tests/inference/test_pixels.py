@@ -38,8 +38,8 @@ def seen(tmp_path):
             v[row] += by
         phi = PATH.phi + 0.03 * chance.normal(size=len(TIMES))
         clicked = project(*SHEET) + points * chance.normal(size=SHEET.shape)
-        known = dict(zip("uvxy", [*clicked, *SHEET], strict=True))
-        (tmp_path / "points.csv").write_text(table(known))
+        known_points = dict(zip("uvxy", [*clicked, *SHEET], strict=True))
+        (tmp_path / "points.csv").write_text(table(known_points))
         (tmp_path / "rows.csv").write_text(
             table({"t": TIMES, "u": u, "v": v, "phi_rad": phi})
         )
@@ -50,18 +50,22 @@ def seen(tmp_path):
 
 def with_systematic(fit, name):
     """Value, standard error and systematic error of a parameter or a quantity."""
-    item = quantities_of(fit)["curl"] if name == "curl" else fit[name]
-    return item.value, item.stderr, fit.systematics.errors.get(name) or item.systematic
+    estimate = quantities_of(fit)["curl"] if name == "curl" else fit[name]
+    return (
+        estimate.value,
+        estimate.stderr,
+        fit.systematics.errors.get(name) or estimate.systematic,
+    )
 
 
 def test_errors_cover_the_truth(seen):
-    known = {"stone": STONE, "systematics": ONLY_CALIBRATION}
+    options = {"stone": STONE, "systematics": ONLY_CALIBRATION}
     # of 12 at a time, whose program other tests need too
     fits = [
         fit
         for first in (0, 12)
         for fit in fit_throws(
-            [seen(seed) for seed in range(first, first + 12)], **known
+            [seen(seed) for seed in range(first, first + 12)], **options
         )
     ]
     assert not any(fit.outliers or fit.warnings for fit in fits)
@@ -104,7 +108,8 @@ def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
         assert fit.data.sigma[name] == "estimated"
     fit.save(tmp_path / "fit.json")
     saved = load_fit(tmp_path / "fit.json")
-    problem, again = problem_of(fit), problem_of(saved)
+    problem = problem_of(fit)
+    again = problem_of(saved)
     np.testing.assert_allclose(again.weight, problem.weight)
     np.testing.assert_allclose(problem.weight[1, :9], 1 / fit.observed["sigma_y"][:9])
 
@@ -112,7 +117,7 @@ def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
 def test_outliers_are_judged_by_the_pixels(seen):
     # 1.8 px, nine sigma, are 0.1 m here; rows at the far end scatter by 0.04 m
     fit = curlfit.fit(seen(3, off=[(10, 1.8)]), stone=STONE)
-    assert {one["t"] for one in fit.outliers} == {TIMES[10]}
+    assert {outlier["t"] for outlier in fit.outliers} == {TIMES[10]}
 
 
 def test_given_pixels_of_noise_are_known(seen):
@@ -123,12 +128,13 @@ def test_given_pixels_of_noise_are_known(seen):
 
 
 def test_throws_of_one_camera_share_its_error(seen):
-    one, other = seen(5), seen(6)
+    first = seen(5)
+    second = seen(6)
     names = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
     options = {"stone": STONE, "systematics": ONLY_CALIBRATION}
-    apart = curlfit.fit_together([one, other], **options)
+    apart = curlfit.fit_together([first, second], **options)
     together = curlfit.fit_together(
-        [one, replace(other, calibration=one.calibration)], **options
+        [first, replace(second, calibration=first.calibration)], **options
     )
     assert len(apart.systematics.widths) == 16
     assert len(together.systematics.widths) == 8

@@ -93,7 +93,7 @@ def test_what_is_no_prior_is_refused_by_the_parameter_s_name(text, said):
 
 
 def test_priors_of_no_parameter_and_of_fixed_ones_are_refused(throw):
-    for choices, said in (
+    for choices, message in (
         ({"priors": {"mu": "1+-1"}}, "no parameter 'mu'.*conditions are slope_x"),
         (
             {"priors": {"mu1_xi": "1+-1"}, "fix": {"mu1_xi": 0.1}},
@@ -102,7 +102,7 @@ def test_priors_of_no_parameter_and_of_fixed_ones_are_refused(throw):
         ({"free": ["rho"], "fix": {"rho": 0.1}}, "rho is fixed and is free"),
         ({"priors": {"mu1_xi": "uniform:2,3"}}, "bound of mu1_xi: 2:1 is empty"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             curlfit.fit(throw, **choices)
 
 
@@ -125,8 +125,11 @@ def test_penalties_are_twice_the_negative_log_densities_of_scipy(text, density):
     assert not penalty_of(parameters, {}).informative
     at = np.linspace(0.02, 0.25, 7)
     values = np.stack([at, np.full(7, 0.3)], -1)
-    found, exact = penalty.chi_squared(values), -2 * density.logpdf(at)
-    np.testing.assert_allclose(np.diff(found), np.diff(exact), rtol=1e-10, atol=1e-10)
+    chi_squared = penalty.chi_squared(values)
+    exact = -2 * density.logpdf(at)
+    np.testing.assert_allclose(
+        np.diff(chi_squared), np.diff(exact), rtol=1e-10, atol=1e-10
+    )
     if prior.kind != "uniform":
         # of the mode nothing is added, so that chi squared is comparable
         mode = values.copy()
@@ -143,26 +146,31 @@ def test_penalties_are_twice_the_negative_log_densities_of_scipy(text, density):
 
 def test_a_normal_prior_is_one_more_datum(throw, without):
     before = without.parameters["mu1_xi"]
-    centre, width = before.value + 2 * before.stderr, before.stderr
+    centre = before.value + 2 * before.stderr
+    width = before.stderr
     fit = curlfit.fit(throw, fix=SPLIT, priors={"mu1_xi": f"{centre}+-{width}"})
-    names, matrix = (
-        without.information.names,
-        without.information.matrix,
-    )
+    names = without.information.names
+    matrix = without.information.matrix
     row = names.index("mu1_xi")
     more = matrix.copy()
     more[row, row] += 1 / width**2
     covariance = np.linalg.inv(more)
     shift = covariance[row] * (centre - before.value) / width**2
     assert shift[row] == pytest.approx(before.stderr, rel=1e-6)
-    for place, name in enumerate(names):
-        old, new = without.parameters[name], fit.parameters[name]
-        assert new.stderr == pytest.approx(np.sqrt(covariance[place, place]), rel=2e-3)
-        assert new.value - old.value == pytest.approx(
-            shift[place], abs=1e-2 * old.stderr
+    for position, name in enumerate(names):
+        old = without.parameters[name]
+        new = fit.parameters[name]
+        assert new.stderr == pytest.approx(
+            np.sqrt(covariance[position, position]), rel=2e-3
         )
-    item = fit.parameters["mu1_xi"]
-    assert (item.verdict, item.prior) == ("determined", f"{centre:.10g}+-{width:.10g}")
+        assert new.value - old.value == pytest.approx(
+            shift[position], abs=1e-2 * old.stderr
+        )
+    estimate = fit.parameters["mu1_xi"]
+    assert (estimate.verdict, estimate.prior) == (
+        "determined",
+        f"{centre:.10g}+-{width:.10g}",
+    )
     # the prior is 1 sd off, and so are the data: 1 each
     assert fit.prior_chi_squared == pytest.approx(1.0, rel=0.02)
     assert fit.chi_squared == pytest.approx(without.chi_squared + 1.0, abs=0.02)
@@ -176,15 +184,17 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
 
 def test_a_uniform_prior_is_its_bounds(throw, without):
     high = without.parameters["mu2_xi"].value - without.parameters["mu2_xi"].stderr
-    one = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": f"uniform:0.04,{high!r}"})
-    other = curlfit.fit(throw, fix=SPLIT, bounds={"mu2_xi": (0.04, high)})
-    assert one.parameters["mu2_xi"].verdict == "at bound"
-    assert one.prior_chi_squared == 0
-    for name, item in other.parameters.items():
-        assert one.parameters[name].value == pytest.approx(
-            item.value, rel=1e-6, abs=1e-9
+    by_prior = curlfit.fit(
+        throw, fix=SPLIT, priors={"mu2_xi": f"uniform:0.04,{high!r}"}
+    )
+    by_bounds = curlfit.fit(throw, fix=SPLIT, bounds={"mu2_xi": (0.04, high)})
+    assert by_prior.parameters["mu2_xi"].verdict == "at bound"
+    assert by_prior.prior_chi_squared == 0
+    for name, estimate in by_bounds.parameters.items():
+        assert by_prior.parameters[name].value == pytest.approx(
+            estimate.value, rel=1e-6, abs=1e-9
         )
-        assert one.parameters[name].verdict == item.verdict
+        assert by_prior.parameters[name].verdict == estimate.verdict
 
 
 @pytest.fixture(scope="module")
@@ -194,25 +204,26 @@ def split(throw):
 
 
 def test_what_rests_on_a_prior_is_said_to(split, without, tmp_path):
-    item, other = split.parameters["mu1_eta"], split.parameters["mu2_eta"]
-    assert (item.verdict, other.verdict) == ("prior", "prior")
-    assert item.value == pytest.approx(0.008, abs=1e-7)
-    assert item.stderr == pytest.approx(0.001, rel=1e-4)
+    mu1_eta = split.parameters["mu1_eta"]
+    mu2_eta = split.parameters["mu2_eta"]
+    assert (mu1_eta.verdict, mu2_eta.verdict) == ("prior", "prior")
+    assert mu1_eta.value == pytest.approx(0.008, abs=1e-7)
+    assert mu1_eta.stderr == pytest.approx(0.001, rel=1e-4)
     total = SPLIT["mu1_eta"] + without.parameters["mu2_eta"].value
-    assert item.value + other.value == pytest.approx(total, abs=1e-7)
-    assert other.stderr == pytest.approx(0.001, rel=1e-3)
+    assert mu1_eta.value + mu2_eta.value == pytest.approx(total, abs=1e-7)
+    assert mu2_eta.stderr == pytest.approx(0.001, rel=1e-3)
     assert split.parameters["mu1_xi"].verdict == "determined"
-    said = shown(split)
-    assert "The path and the priors determine 10 of 10 parameters." in said
+    text = shown(split)
+    assert "The path and the priors determine 10 of 10 parameters." in text
     assert (
         "mu1_eta and mu2_eta rest on the priors: the path alone does not determine them"
-        in said
+        in text
     )
     split.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
     assert again.parameter_set.priors == {"mu1_eta": Normal(0.008, 0.001)}
     assert again.to_json() == split.to_json()
-    assert shown(again) == said
+    assert shown(again) == text
     assert (again.chi_squared, again.prior_chi_squared) == (
         split.chi_squared,
         split.prior_chi_squared,
@@ -223,23 +234,24 @@ def test_the_posterior_has_the_prior_in_it_and_a_chain_of_another_is_refused(
     split, throw, tmp_path
 ):
     file = tmp_path / "chain.h5"
-    found, _ = sample(split, effective=600, checkpoint=file, seed=3)
+    sampled, _ = sample(split, effective=600, checkpoint=file, seed=3)
     for name in ("mu1_eta", "mu2_eta", "mu1_xi", "mu2_xi"):
-        item, ess = split.parameters[name], found.posterior.ess[name]
+        estimate = split.parameters[name]
+        ess = sampled.posterior.ess[name]
         assert abs(
-            found.posterior.mean[name] - item.value
-        ) < 4.5 * item.stderr / np.sqrt(ess)
-        assert found.posterior.sd[name] == pytest.approx(
-            item.stderr, rel=4.5 / np.sqrt(2 * ess)
+            sampled.posterior.mean[name] - estimate.value
+        ) < 4.5 * estimate.stderr / np.sqrt(ess)
+        assert sampled.posterior.sd[name] == pytest.approx(
+            estimate.stderr, rel=4.5 / np.sqrt(2 * ess)
         )
-    for priors, said in (
+    for priors, message in (
         (
             {"mu1_eta": "0.008+-0.002"},
             r"priors was mu1_eta 0.008\+-0.001, now mu1_eta 0.008\+-0.0",
         ),
         ({}, r"priors was mu1_eta 0.008\+-0.001, now none"),
     ):
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match=message):
             sample(
                 curlfit.fit(throw, priors=priors), checkpoint=file, resume=True, seed=3
             )
@@ -250,11 +262,11 @@ def test_throws_together_count_the_prior_of_what_they_share_once(throw):
     throws = [throw, thrown(omega0=-1.5, seed=2)]
     joint = curlfit.fit_together(throws, fix=SPLIT).coefficients["mu1_xi"]
     prior = f"{joint.value + 2 * joint.stderr!r}+-{joint.stderr!r}"
-    found = curlfit.fit_together(throws, fix=SPLIT, priors={"mu1_xi": prior})
-    item = found.coefficients["mu1_xi"]
-    assert item.stderr == pytest.approx(joint.stderr / np.sqrt(2), rel=5e-3)
-    assert item.value - joint.value == pytest.approx(joint.stderr, rel=0.02)
-    assert item.verdict == "determined"
+    with_prior = curlfit.fit_together(throws, fix=SPLIT, priors={"mu1_xi": prior})
+    estimate = with_prior.coefficients["mu1_xi"]
+    assert estimate.stderr == pytest.approx(joint.stderr / np.sqrt(2), rel=5e-3)
+    assert estimate.value - joint.value == pytest.approx(joint.stderr, rel=0.02)
+    assert estimate.verdict == "determined"
     rests = curlfit.fit_together(throws, priors={"mu1_eta": "0.008+-0.001"})
     assert rests.coefficients["mu2_eta"].verdict == "prior"
     assert rests.coefficients["mu1_eta"].stderr == pytest.approx(0.001, rel=1e-3)
@@ -266,10 +278,11 @@ def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
     without = curlfit.fit(throw, fix=SPLIT)
     fit = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.06+-0.002"})
     assert fit.sigma == pytest.approx(without.sigma, rel=1e-4)
-    item, other = fit.parameters["mu2_xi"], without.parameters["mu2_xi"]
-    weight = 1 / (1 + (other.stderr / 0.002) ** 2)
-    expected = weight * other.value + (1 - weight) * 0.06
-    assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
+    with_prior = fit.parameters["mu2_xi"]
+    without_prior = without.parameters["mu2_xi"]
+    weight = 1 / (1 + (without_prior.stderr / 0.002) ** 2)
+    expected = weight * without_prior.value + (1 - weight) * 0.06
+    assert with_prior.value == pytest.approx(expected, abs=0.01 * without_prior.stderr)
     assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
 
 

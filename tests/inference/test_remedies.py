@@ -43,9 +43,9 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
     with_known = partial(fitted, seen, fix=known)
     before = with_known(*channels)
     assert before.parameters[name].verdict in ("weak", "not identifiable")
-    (remedy,) = (item for item in before.remedies if name in item.parameters)
+    (remedy,) = (remedy for remedy in before.remedies if name in remedy.parameters)
     assert remedy.measure
-    others = [other for other in NOISE if other not in channels]
+    unmeasured = [other for other in NOISE if other not in channels]
     if remedy.all:
         more = remedy.measure
         assert with_known(*channels, *more).parameters[name].verdict == "determined"
@@ -55,7 +55,7 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
                 with_known(*channels, *fewer).parameters[name].verdict != "determined"
             )
     else:
-        for other in others:
+        for other in unmeasured:
             helps = (
                 with_known(*channels, other).parameters[name].verdict == "determined"
             )
@@ -63,16 +63,16 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
 
 
 def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_path):
-    found = fitted(seen, "x", "y", "phi")
-    assert found.remedies == (SPLIT,)
-    assert "curlfit design --separate mu1_eta,mu2_eta" in sentences_on(found)
-    found.save(tmp_path / "fit.json")
-    assert load_fit(tmp_path / "fit.json").remedies == found.remedies
+    fit = fitted(seen, "x", "y", "phi")
+    assert fit.remedies == (SPLIT,)
+    assert "curlfit design --separate mu1_eta,mu2_eta" in sentences_on(fit)
+    fit.save(tmp_path / "fit.json")
+    assert load_fit(tmp_path / "fit.json").remedies == fit.remedies
 
 
 def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidden(
     seen,
 ):
-    found = fitted(seen, "x", "y", noise="ar1")
-    assert found.parameters["omega0"].verdict in ("weak", "not identifiable")
-    assert found.remedies == (SPLIT,)
+    fit = fitted(seen, "x", "y", noise="ar1")
+    assert fit.parameters["omega0"].verdict in ("weak", "not identifiable")
+    assert fit.remedies == (SPLIT,)

@@ -43,7 +43,8 @@ def snapshot(folder):
 def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(
     tmp_path, blow
 ):
-    struck, whole = tmp_path / "struck", tmp_path / "whole"
+    struck = tmp_path / "struck"
+    unbroken = tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)
     process = started(*fit, *ENDLESS, "--out", struck)
     while process.poll() is None:
@@ -80,13 +81,13 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(
     more = ("--effective", "100000000", "--max-steps", max(40, len(left.values) + 1))
     status, _, err = command(*fit, *more, "--out", struck, "--resume", cwd=tmp_path)
     assert status == 0, err
-    status, _, err = command(*fit, *more, "--out", whole, cwd=tmp_path)
+    status, _, err = command(*fit, *more, "--out", unbroken, cwd=tmp_path)
     assert status == 0, err
-    once = load_chain(whole / "chain.h5")
+    once = load_chain(unbroken / "chain.h5")
     assert len(once.values) > len(left.values)
     np.testing.assert_array_equal(once.values[: len(left.values)], left.values)
     assert_same(load_chain(struck / "chain.h5"), once)
-    assert (struck / "fit.json").read_bytes() == (whole / "fit.json").read_bytes()
+    assert (struck / "fit.json").read_bytes() == (unbroken / "fit.json").read_bytes()
 
 
 RUN = {"effective": 1e9, "most_steps": 60, "seed": 2}
@@ -100,7 +101,8 @@ def short(eq12_fit):
 
 def stopped_at_call(number, monkeypatch):
     """Ctrl-C within the posterior's evaluation of that number."""
-    calls, real = [], density.log_posterior
+    calls = []
+    real = density.log_posterior
 
     def stopping(*arguments):
         calls.append(1)
@@ -133,7 +135,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
     # as though the ridge proposals failed: from the first block on, ensemble
     # moves do the work
     monkeypatch.setattr(sampling, "_LEAST_ACCEPTANCE", 2.0)
-    result, whole = sample(eq12_fit, **RUN)
+    result, unbroken = sample(eq12_fit, **RUN)
     assert "most proposals were ensemble moves" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
@@ -152,7 +154,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
             sample(eq12_fit, **RUN, checkpoint=file)
     assert load_chain(file).mostly_ridge == (steps < 20)
     again, resumed = sample(eq12_fit, **RUN, checkpoint=file, resume=True)
-    assert_same(resumed, whole)
+    assert_same(resumed, unbroken)
     assert again.posterior == result.posterior
 
 

@@ -28,9 +28,9 @@ def test_nothing_is_taken_out_of_a_quadratic():
     root = random.standard_normal((6, 3))
     moves = 2 * random.standard_normal((40, 3))
     rises = ((moves @ root.T) ** 2).sum(1)
-    told = information_along(information_of(root), moves, rises)
-    assert told.stretched.scaled.shape == (0, 3)
-    assert squares(told.kept) == pytest.approx(root.T @ root)
+    information = information_along(information_of(root), moves, rises)
+    assert information.stretched.scaled.shape == (0, 3)
+    assert squares(information.kept) == pytest.approx(root.T @ root)
 
 
 def test_points_along_a_null_direction_are_no_contradiction():
@@ -38,9 +38,9 @@ def test_points_along_a_null_direction_are_no_contradiction():
     rows = np.array([[100.0, 100.0]])
     far = np.linspace(-50, 50, 11)
     moves = np.outer(far, [1, -1])
-    told = information_along(information_of(rows), moves, np.zeros(11))
-    assert told.stretched.scaled.shape == (0, 2)
-    assert squares(told.kept) == pytest.approx(rows.T @ rows)
+    information = information_along(information_of(rows), moves, np.zeros(11))
+    assert information.stretched.scaled.shape == (0, 2)
+    assert squares(information.kept) == pytest.approx(rows.T @ rows)
 
 
 def hyperbola(spin_error: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -57,16 +57,16 @@ def hyperbola(spin_error: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_a_product_is_taken_out_and_the_rest_is_kept():
     rows, moves, rises = hyperbola(0.3)
-    told = information_along(information_of(rows), moves, rises)
-    whole = np.vstack([told.kept.scaled, told.stretched.scaled])
-    errors = np.sqrt(np.diagonal(np.linalg.inv(whole.T @ whole)))
+    information = information_along(information_of(rows), moves, rises)
+    all_rows = np.vstack([information.kept.scaled, information.stretched.scaled])
+    errors = np.sqrt(np.diagonal(np.linalg.inv(all_rows.T @ all_rows)))
     # c is as well known as before
     assert errors[2] == pytest.approx(0.01)
     unit = np.array([0.0, 0.0, 1.0])
-    assert np.linalg.norm(told.kept.scaled @ unit) == pytest.approx(100.0)
+    assert np.linalg.norm(information.kept.scaled @ unit) == pytest.approx(100.0)
     # all points are as far as chi squared has risen, b among them
     expected = np.sqrt(np.maximum(rises, 1.0))
-    distances = np.linalg.norm(moves @ whole.T, axis=1)
+    distances = np.linalg.norm(moves @ all_rows.T, axis=1)
     assert (distances <= LITTLE * expected * (1 + 1e-9)).all()
     assert (np.abs(moves[:, 0]) <= LITTLE * errors[0] * expected * (1 + 1e-9)).all()
     first_order = np.sqrt(np.diagonal(np.linalg.inv(rows.T @ rows)))
@@ -76,9 +76,9 @@ def test_a_product_is_taken_out_and_the_rest_is_kept():
 def test_a_short_stretch_of_a_product_is_straight():
     """With the spin known to 0.002, b is told as the quadratic says."""
     rows, moves, rises = hyperbola(0.002)
-    told = information_along(information_of(rows), moves, rises)
-    assert told.stretched.scaled.shape == (0, 3)
-    assert squares(told.kept) == pytest.approx(rows.T @ rows)
+    information = information_along(information_of(rows), moves, rises)
+    assert information.stretched.scaled.shape == (0, 3)
+    assert squares(information.kept) == pytest.approx(rows.T @ rows)
 
 
 def test_what_is_told_of_some_parameters_whatever_the_others():
@@ -86,12 +86,13 @@ def test_what_is_told_of_some_parameters_whatever_the_others():
     complement, and give what they give at the optimum."""
     rows, moves, rises = hyperbola(0.3)
     step = np.array([0.1, 0.2, 0.3])
-    told = information_along(information_of(rows, step), moves, rises)
-    own = np.array([True, False, True])
-    parts = told.marginal(own)
-    whole = squares(told.kept) + squares(told.stretched)
+    information = information_along(information_of(rows, step), moves, rises)
+    columns = np.array([True, False, True])
+    parts = information.marginal(columns)
+    matrix = squares(information.kept) + squares(information.stretched)
     schur = (
-        whole[np.ix_(own, own)] - np.outer(whole[own, 1], whole[1, own]) / whole[1, 1]
+        matrix[np.ix_(columns, columns)]
+        - np.outer(matrix[columns, 1], matrix[1, columns]) / matrix[1, 1]
     )
     of_both = squares(parts.kept) + squares(parts.stretched)
     assert of_both == pytest.approx(schur, rel=1e-6, abs=1e-6)

@@ -27,33 +27,35 @@ from curlfit.inference.sampling.summary import Diagnosis, steps_to_discard
 
 def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
     result, chain = eq12_posterior
-    found = result.posterior
-    assert found.converged
-    assert found.correlation["mu1_eta"]["mu2_eta"] < -0.99
-    total = found.mean["mu1_eta + mu2_eta"]
+    posterior = result.posterior
+    assert posterior.converged
+    assert posterior.correlation["mu1_eta"]["mu2_eta"] < -0.99
+    total = posterior.mean["mu1_eta + mu2_eta"]
     for name in ("mu1_eta", "mu2_eta"):
-        assert found.sd[name] == pytest.approx(total / np.sqrt(12), rel=0.03)
+        assert posterior.sd[name] == pytest.approx(total / np.sqrt(12), rel=0.03)
         values = chain.of({name: 1.0})
         assert values.min() < 0.01 * total
         assert values.max() > 0.99 * total
         thin = values[:: max(1, len(values) // 1000)] / total
         assert stats.kstest(thin, "uniform").pvalue > 1e-3
-    assert max(found.r_hat.values()) < 1.01
-    assert min(found.ess.values()) > 2000
-    assert min(found.ess_tail.values()) > 2000
-    told = r"at least \d+ in the bulk \(\S+\) and \d+ in the tail \(\S+\), R-hat"
-    assert re.search(told, shown(result))
+    assert max(posterior.r_hat.values()) < 1.01
+    assert min(posterior.ess.values()) > 2000
+    assert min(posterior.ess_tail.values()) > 2000
+    pattern = r"at least \d+ in the bulk \(\S+\) and \d+ in the tail \(\S+\), R-hat"
+    assert re.search(pattern, shown(result))
 
 
 def test_determined_parameters_agree_with_least_squares(eq12_posterior):
     result, _ = eq12_posterior
-    found = result.posterior
+    posterior = result.posterior
     for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
-        item = result.parameters[name]
-        assert found.sd[name] == pytest.approx(item.stderr, rel=0.08)
-        assert abs(found.mean[name] - item.value) < 0.15 * item.stderr
-    (one,) = result.combinations
-    assert found.sd[one.expression] == pytest.approx(one.stderr, rel=0.08)
+        estimate = result.parameters[name]
+        assert posterior.sd[name] == pytest.approx(estimate.stderr, rel=0.08)
+        assert abs(posterior.mean[name] - estimate.value) < 0.15 * estimate.stderr
+    (combination,) = result.combinations
+    assert posterior.sd[combination.expression] == pytest.approx(
+        combination.stderr, rel=0.08
+    )
 
 
 def test_chains_are_stored_for_curlfit_and_for_emcee(eq12_posterior, tmp_path):
@@ -110,7 +112,8 @@ def test_ensemble_moves_leave_a_skew_target_as_it_is(move):
         return np.where(inside, -(x @ [1, 1 / 3]), -np.inf)
 
     chain = _run(SideBySide(move), log_prob, draws, 2500)
-    mean, sd = chain[500:].mean((0, 1)), chain[500:].std((0, 1))
+    mean = chain[500:].mean((0, 1))
+    sd = chain[500:].std((0, 1))
     np.testing.assert_allclose(mean, [1, 3], rtol=0.06)
     np.testing.assert_allclose(sd, [1, 3], rtol=0.08)
 
@@ -129,11 +132,11 @@ def test_ensembles_do_not_mix():
 def test_ridge_move_leaves_its_target_as_it_is():
     # d = (a + b)/sqrt 2 is Gaussian, a is even on (0, 2); the proposal is
     # wider than both
-    seen = np.array([[1.0, 1.0]]) / np.sqrt(2)
+    combinations = np.array([[1.0, 1.0]]) / np.sqrt(2)
     proposal = RidgeProposal(
         np.array([1.0, 1.0]),
         np.ones(2),
-        seen,
+        combinations,
         np.array([0.3]),
         np.array([0]),
         np.array([-1.4]),
@@ -158,14 +161,12 @@ def test_ridge_move_leaves_its_target_as_it_is():
 
 def test_the_density_of_a_ridge_is_a_density():
     """Student, uniform and exponential in combinations of the parameters."""
-    seen, spread = (
-        np.array([[1.0, 0.5, 0.2, 0.0], [0.3, -1.0, 0.0, 0.4]]),
-        np.array([0.3, 2.0]),
-    )
+    combinations = np.array([[1.0, 0.5, 0.2, 0.0], [0.3, -1.0, 0.0, 0.4]])
+    spread = np.array([0.3, 2.0])
     proposal = RidgeProposal(
         np.zeros(4),
         np.ones(4),
-        seen,
+        combinations,
         spread,
         np.array([2]),
         np.array([-1.0]),
@@ -174,9 +175,9 @@ def test_the_density_of_a_ridge_is_a_density():
         np.array([-0.7]),
     )
     values = proposal.draw(5, np.random.RandomState(0))
-    rows = np.concatenate([seen, np.eye(4)[2:]])
+    rows = np.concatenate([combinations, np.eye(4)[2:]])
     expected = stats.multivariate_t(shape=np.diag(spread**2), df=8).logpdf(
-        values @ seen.T
+        values @ combinations.T
     )
     expected += stats.expon.logpdf(-values[:, 3], scale=0.7) - np.log(3)
     expected += np.linalg.slogdet(rows)[1]
@@ -237,7 +238,7 @@ def test_diagnostics_are_those_of_arviz(steps):
         values[step, stay] = values[step - 1, stay]
     values[:, 32:64, 0] *= 1.3
     values[..., 3] = np.maximum(values[..., 3], -0.5)
-    found = Diagnosis(values, 4)
+    diagnosis = Diagnosis(values, 4)
 
     with warnings.catch_warnings():  # ArviZ announces its next version
         warnings.simplefilter("ignore")
@@ -258,9 +259,9 @@ def test_diagnostics_are_those_of_arviz(steps):
         }
     )
     for expected, ours in (
-        (arviz.ess(walkers, method="bulk"), found.bulk),
-        (arviz.ess(walkers, method="tail", prob=(0.05, 0.95)), found.tail),
-        (arviz.rhat(ensembles, method="rank"), found.r_hat),
+        (arviz.ess(walkers, method="bulk"), diagnosis.bulk),
+        (arviz.ess(walkers, method="tail", prob=(0.05, 0.95)), diagnosis.tail),
+        (arviz.rhat(ensembles, method="rank"), diagnosis.r_hat),
     ):
         np.testing.assert_allclose(
             ours, [float(expected[str(k)]) for k in range(4)], rtol=1e-12
@@ -268,9 +269,9 @@ def test_diagnostics_are_those_of_arviz(steps):
 
 
 def test_a_chain_of_few_steps_has_few_effective_samples():
-    found = Diagnosis(np.random.default_rng(3).standard_normal((4, 128, 2)), 4)
-    assert found.bulk.tolist() == found.tail.tolist() == [256, 256]
-    assert not found.good(100)
+    diagnosis = Diagnosis(np.random.default_rng(3).standard_normal((4, 128, 2)), 4)
+    assert diagnosis.bulk.tolist() == diagnosis.tail.tolist() == [256, 256]
+    assert not diagnosis.good(100)
 
 
 def test_an_undetermined_direction_without_bounds_is_named(eq12):

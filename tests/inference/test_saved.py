@@ -57,9 +57,9 @@ def read_only_folder():
 
 
 def run(*words):
-    found = invoke(words)
-    if found.exception is not None:
-        raise found.exception
+    outcome = invoke(words)
+    if outcome.exception is not None:
+        raise outcome.exception
 
 
 def drawn(file):
@@ -82,7 +82,8 @@ WRITERS = {
 def test_what_cannot_be_written_is_said_and_what_was_there_stays(
     eq12_posterior, tmp_path, name, trouble
 ):
-    before, file = SIMULATED if name == "a.csv" else "what was there", tmp_path / name
+    before = SIMULATED if name == "a.csv" else "what was there"
+    file = tmp_path / name
     file.write_text(before)
     with trouble(), pytest.raises(InputError, match="cannot be written") as caught:
         WRITERS[name](file, eq12_posterior)
@@ -137,7 +138,8 @@ def test_what_cannot_be_printed_is_said(tmp_path, words):
 def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
     from curlfit.output.files import prepare_folder
 
-    old, new = tmp_path / ".curlfit-abc-chain.h5", tmp_path / ".curlfit-def-chain.h5"
+    old = tmp_path / ".curlfit-abc-chain.h5"
+    new = tmp_path / ".curlfit-def-chain.h5"
     for file in (old, new):
         file.write_text("half")
     folder = tmp_path / ".curlfit-x"  # nobody knows whose
@@ -159,8 +161,8 @@ def record_of(result, folder, change):
 def test_records_that_have_more_than_this_version_knows(eq12_posterior, tmp_path):
     def later(record):
         record["new"] = 1
-        for item in record["parameters"].values():
-            item["new"] = 1
+        for parameter in record["parameters"].values():
+            parameter["new"] = 1
         for name in ("posterior", "stone", "reference", "data"):
             record[name]["new"] = 1
         record["combinations"][0]["new"] = 1
@@ -340,7 +342,7 @@ def test_damaged_records_are_read_or_refused(eq12_posterior, compared, tmp_path)
         *STRICT, damaged_records.__file__, tmp_path, 1, 40, OPENBLAS_NUM_THREADS="1"
     )
     assert run.returncode == 0, run.stderr
-    found = json.loads(run.stdout)
-    assert found["faults"] == []
-    assert found["statuses"]["0"] > 4
-    assert found["statuses"]["2"] > 12
+    report = json.loads(run.stdout)
+    assert report["faults"] == []
+    assert report["statuses"]["0"] > 4
+    assert report["statuses"]["2"] > 12

@@ -25,11 +25,12 @@ STONE = Stone(R=0.065)
 def season(tmp_path_factory):
     """Ten tracks of two sheets with notes, fitted one by one; and the joint fit
     of the same."""
-    folder, random = tmp_path_factory.mktemp("season"), np.random.default_rng(1)
+    folder = tmp_path_factory.mktemp("season")
+    random = np.random.default_rng(1)
     notes = ["track,sheet,day"]
     (folder / "tracks").mkdir()
-    for place in range(10):
-        sheet = place % 2 + 1
+    for number in range(10):
+        sheet = number % 2 + 1
         half = 0.009 * (1 + 0.04 * sheet + 0.01 * random.standard_normal())
         law = law_with(
             "front-back",
@@ -39,14 +40,16 @@ def season(tmp_path_factory):
             law,
             STONE,
             v0=random.uniform(2.1, 2.3),
-            omega0=random.uniform(1, 2) * (-1) ** place,
+            omega0=random.uniform(1, 2) * (-1) ** number,
             dt=0.2,
             noise_xy=0.005,
             noise_phi=0.01,
-            seed=place,
+            seed=number,
         )
-        (folder / "tracks" / f"t{place}.csv").write_text(write_table(throw))
-        notes.append(f"t{place}.csv,{sheet},2026-02-{place + 20 if place < 9 else 28}")
+        (folder / "tracks" / f"t{number}.csv").write_text(write_table(throw))
+        notes.append(
+            f"t{number}.csv,{sheet},2026-02-{number + 20 if number < 9 else 28}"
+        )
     (folder / "notes.csv").write_text("\n".join(notes) + "\n")
     throws = [
         curlfit.load_throw(file, throws=folder / "notes.csv")
@@ -71,34 +74,36 @@ def test_a_table_gives_what_all_throws_give_together(season):
     folder, joint, ran = season
     assert ran.returncode == 0
     assert "10 throws that were fitted one by one" in ran.stdout + ran.stderr
-    found = curlfit.load_joint(folder / "season-fit")
+    from_table = curlfit.load_joint(folder / "season-fit")
     for kind in ("groups", "differences", "trend"):
-        for one, other in zip(getattr(found, kind), getattr(joint, kind), strict=True):
-            assert (one.parameter, one.by, one.group) == (
+        for effect, other in zip(
+            getattr(from_table, kind), getattr(joint, kind), strict=True
+        ):
+            assert (effect.parameter, effect.by, effect.group) == (
                 other.parameter,
                 other.by,
                 other.group,
             )
-            assert one.value == pytest.approx(other.value, abs=0.03 * other.stderr)
-            assert one.stderr == pytest.approx(other.stderr, rel=0.03)
-    for name, item in joint.coefficients.items():
-        assert found.coefficients[name].verdict == item.verdict
-        if item.stderr is not None:
-            assert found.coefficients[name].value == pytest.approx(
-                item.value, abs=0.03 * item.stderr
+            assert effect.value == pytest.approx(other.value, abs=0.03 * other.stderr)
+            assert effect.stderr == pytest.approx(other.stderr, rel=0.03)
+    for name, coefficient in joint.coefficients.items():
+        assert from_table.coefficients[name].verdict == coefficient.verdict
+        if coefficient.stderr is not None:
+            assert from_table.coefficients[name].value == pytest.approx(
+                coefficient.value, abs=0.03 * coefficient.stderr
             )
-    (total,) = found.combinations
+    (total,) = from_table.combinations
     assert total.expression == "mu1_eta + mu2_eta"
-    determined = found.identifiability
+    determined = from_table.identifiability
     assert (determined.rank, determined.parameters) == (3, 4)
-    assert found.trend[0].unit.endswith("/day")
-    assert 1 <= found.r_hat < 1.02
-    said = "the posterior of the spreads has not converged (R-hat 1.200)"
-    assert said not in ran.stdout
+    assert from_table.trend[0].unit.endswith("/day")
+    assert 1 <= from_table.r_hat < 1.02
+    warning = "the posterior of the spreads has not converged (R-hat 1.200)"
+    assert warning not in ran.stdout
     curlfit.print_joint(
-        replace(found, r_hat=1.2), Console(file=(text := StringIO()), width=200)
+        replace(from_table, r_hat=1.2), Console(file=(text := StringIO()), width=200)
     )
-    assert said in text.getvalue()
+    assert warning in text.getvalue()
 
 
 def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
@@ -106,29 +111,27 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
     folder, joint, _ = season
     asked = ["--sheet", "1", "--to-tee", "--no-figures", "--out", tmp_path]
     assert command("predict", "season-fit", *asked, cwd=folder).returncode == 0
-    found = curlfit.load_prediction(tmp_path)
+    prediction = curlfit.load_prediction(tmp_path)
     call = curlfit.Call({"sheet": "1"})
     other = curlfit.predict(joint, call=call, target=(0.0, 0.0))
-    assert found.quantities.keys() == other.quantities.keys()
-    assert found.start["omega0"]["value"] == pytest.approx(
+    assert prediction.quantities.keys() == other.quantities.keys()
+    assert prediction.start["omega0"]["value"] == pytest.approx(
         other.start["omega0"]["value"], abs=1e-3
     )
-    for name, item in other.quantities.items():
-        mine = found.quantities[name]
-        for level, value in item.quantiles.items():
+    for name, quantity in other.quantities.items():
+        mine = prediction.quantities[name]
+        for level, value in quantity.quantiles.items():
             assert mine.quantiles[level] == pytest.approx(
-                value, abs=0.1 * item.sd + 1e-6
+                value, abs=0.1 * quantity.sd + 1e-6
             ), name
-    assert list(map(str, found.warnings)) == list(map(str, other.warnings))
-    assert list(map(str, found.notes)) == list(map(str, other.notes))
-    assert found.weights[2].hog_to_hog == pytest.approx(
+    assert list(map(str, prediction.warnings)) == list(map(str, other.warnings))
+    assert list(map(str, prediction.notes)) == list(map(str, other.notes))
+    assert prediction.weights[2].hog_to_hog == pytest.approx(
         other.weights[2].hog_to_hog, abs=2e-3
     )
     # a record of an earlier version is read, but foretells nothing
-    saved, file = (
-        json.loads((folder / "season-fit/joint.json").read_text()),
-        tmp_path / "a.json",
-    )
+    saved = json.loads((folder / "season-fit/joint.json").read_text())
+    file = tmp_path / "a.json"
     for name in ("starts", "duration", "speeds", "spins", "null_directions"):
         del saved["table"][name]
     file.write_text(json.dumps(saved))
@@ -139,20 +142,21 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
 def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
     """Under the consistent load a throw tells the halves of the friction hardly apart.
     A division far outside the bounds would explain the scatter of the sum."""
-    random, fits = np.random.default_rng(7), []
-    for place in range(6):
+    random = np.random.default_rng(7)
+    fits = []
+    for number in range(6):
         half = 0.009 * (1 + 0.01 * random.standard_normal())
         law = law_with("front-back", {"mu1_eta": half, "mu2_eta": half})
         throw = synthetic_throw(
             law,
             STONE,
             load="consistent",
-            v0=2 + 0.02 * (place % 4),
+            v0=2 + 0.02 * (number % 4),
             dt=0.2,
             noise_xy=0.005,
-            omega0=(1.0, 2.0, 4.0)[place % 3] * (-1) ** place,
+            omega0=(1.0, 2.0, 4.0)[number % 3] * (-1) ** number,
             noise_phi=0.01,
-            seed=place,
+            seed=number,
         )
         fits.append(curlfit.fit(throw, stone=STONE, load="consistent"))
     values = np.array([fit.values for fit in fits])
@@ -174,9 +178,9 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
     )
     sums = []
     for fit in fits:
-        (one,) = fit.combinations
-        assert one.weights["mu2_eta"] == pytest.approx(0.98, abs=0.005)
-        sums.append(one.value)
+        (combination,) = fit.combinations
+        assert combination.weights["mu2_eta"] == pytest.approx(0.98, abs=0.005)
+        sums.append(combination.value)
     (total,) = season.combinations
     assert total.value == pytest.approx(np.mean(sums), abs=0.1 * total.stderr)
     assert total.stderr == pytest.approx(np.std(sums, ddof=1) / 6**0.5, rel=0.1)
@@ -189,7 +193,7 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     folder, *_ = season
     rows = list(csv.reader((folder / "season.csv").read_text().splitlines()))
     head = [rows[0][0], "rink", *rows[0][1:]]
-    table = [head, *([one[0], "ab"[k % 2], *one[1:]] for k, one in enumerate(rows[1:]))]
+    table = [head, *([row[0], "ab"[k % 2], *row[1:]] for k, row in enumerate(rows[1:]))]
     table[3][head.index("status")] = "not usable"
     with (tmp_path / "added.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows(table)
@@ -198,10 +202,10 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     )
     ran = command("fit", "added.csv", "--by", "rink", "--out", "out", cwd=tmp_path)
     assert "1 row is not ok and is left out" in " ".join(ran.stdout.split())
-    found = curlfit.load_joint(tmp_path / "out")
-    assert found.count == 9
-    assert {one.group for one in found.differences} == {"b"}
-    for words, said in (
+    joint = curlfit.load_joint(tmp_path / "out")
+    assert joint.count == 9
+    assert {difference.group for difference in joint.differences} == {"b"}
+    for words, output in (
         (["export", "--to", "latex", "--out"], "table.tex"),
         (["report", "--out"], "x.html"),
         (["plot", "--out"], "joint.png"),
@@ -210,7 +214,7 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
         assert (
             command(words[0], "out", *words[1:], str(where), cwd=tmp_path).returncode
             == 0
-        ), said
+        ), output
 
 
 @pytest.mark.parametrize(
@@ -262,29 +266,29 @@ def test_the_figure_of_a_table_names_all_groups(season):
     """Also where the first panel is of a coefficient that does not vary,
     and has none."""
     folder, *_ = season
-    found = curlfit.fit_season(folder / "season.csv", by="sheet")
-    first, *others = found.variation
-    groups = [one for one in found.groups if one.parameter != first.expression]
-    figure = curlfit.joint_figure(replace(found, groups=tuple(groups)))
+    joint = curlfit.fit_season(folder / "season.csv", by="sheet")
+    first, *other_variations = joint.variation
+    groups = [group for group in joint.groups if group.parameter != first.expression]
+    figure = curlfit.joint_figure(replace(joint, groups=tuple(groups)))
     (legend,) = figure.legends
     assert {text.get_text() for text in legend.get_texts()} == {
         "throws, each alone",
         "sheet 1",
         "sheet 2",
     }
-    assert others
+    assert other_variations
 
 
 def without_column(table: str, name: str, empty: tuple[str, ...] = ()) -> str:
     """A table of a batch without a column, and without the cells of some others."""
     rows = list(csv.reader(table.splitlines()))
-    place = rows[0].index(name)
+    position = rows[0].index(name)
     emptied = [rows[0].index(other) for other in empty]
     for row in rows[1:]:
         for column in emptied:
             row[column] = ""
     text = StringIO()
-    kept = [[*row[:place], *row[place + 1 :]] for row in rows]
+    kept = [[*row[:position], *row[position + 1 :]] for row in rows]
     csv.writer(text, lineterminator="\n").writerows(kept)
     return text.getvalue()
 

@@ -34,14 +34,22 @@ def fitted(**choices):
 
 def require_slopes(joint):
     """Those of the friction of both sheets are right."""
-    friction = {one.group: one for one in joint.slopes if one.parameter == "friction"}
+    friction = {
+        effect.group: effect
+        for effect in joint.slopes
+        if effect.parameter == "friction"
+    }
     (mean,) = (
-        one for one in joint.groups if one.parameter == "friction" and not one.by
+        effect
+        for effect in joint.groups
+        if effect.parameter == "friction" and not effect.by
     )
     for sheet, slope in {"1": 0.0, "2": 0.05}.items():
-        own = friction[sheet]
-        assert abs(own.value / mean.value - slope) < 2 * own.stderr / mean.value
-        assert own.stderr / mean.value < 0.012
+        of_sheet = friction[sheet]
+        assert (
+            abs(of_sheet.value / mean.value - slope) < 2 * of_sheet.stderr / mean.value
+        )
+        assert of_sheet.stderr / mean.value < 0.012
 
 
 def test_slopes_that_differ_are_said_and_not_switched_on():
@@ -59,7 +67,7 @@ def test_slopes_that_differ_are_said_and_not_switched_on():
     assert joint.means.trend_by == ()
     assert not joint.slopes
     (of_friction,) = (
-        one for one in joint.slope_differences if one.parameter == "friction"
+        effect for effect in joint.slope_differences if effect.parameter == "friction"
     )
     assert (of_friction.by, of_friction.along) == ("sheet", "start")
     assert (of_friction.group, of_friction.against) == ("2", "1")
@@ -70,8 +78,8 @@ def test_each_sheet_may_have_its_own_slope():
     joint = fitted(trend_by="sheet")
     assert not joint.warnings
     require_slopes(joint)
-    said = " ".join(str(document(joint)).split())
-    assert "Per h of start on sheet 2: friction 4.7" in said
+    text = " ".join(str(document(joint)).split())
+    assert "Per h of start on sheet 2: friction 4.7" in text
     for sheet, time in AT_THE_END.items():
         predicted = curlfit.predict(
             joint, call=Call({"sheet": sheet}), target=(0.0, 0.0), draws=200
@@ -88,9 +96,9 @@ def test_a_season_tests_slopes_too(tmp_path, monkeypatch):
     words = "--by sheet --trend start --no-sample --no-figures"
     run = invoke(["fit", "season.csv", *words.split()])
     assert run.exit_code == 0, run.exception
-    said = " ".join(run.stdout.split())
-    assert "Caution: the slopes by sheet differ." in said
-    assert "`--trend-by sheet` gives each its own" in said
+    text = " ".join(run.stdout.split())
+    assert "Caution: the slopes by sheet differ." in text
+    assert "`--trend-by sheet` gives each its own" in text
     (warning,) = load_joint("season-fit").warnings
     assert (warning.code, warning.numbers["label"]) == ("slopes-differ", "sheet")
     run = invoke(["fit", "season.csv", *words.split(), "--trend-by", "sheet"])

@@ -32,10 +32,8 @@ PATH = filmed(noise=dict.fromkeys(SIGMA, 0.0), heading=0.02, v=2.1, omega=1.3)
 
 def thrown(seed, rows):
     """Of the path some rows, evenly, with noise."""
-    chosen, random = (
-        np.linspace(0, 200, rows).round().astype(int),
-        np.random.default_rng(seed),
-    )
+    chosen = np.linspace(0, 200, rows).round().astype(int)
+    random = np.random.default_rng(seed)
     series = {
         name: getattr(PATH, name)[chosen] + sigma * random.standard_normal(rows)
         for name, sigma in SIGMA.items()
@@ -50,16 +48,17 @@ def test_the_interval_of_a_mean_is_student_s():
     fit = curlfit.fit(
         throw, fix={name: value for name, value in held.items() if name != "x0"}
     )
-    item = fit.parameters["x0"]
+    estimate = fit.parameters["x0"]
     off = throw.x - PATH.x[np.isin(PATH.t, throw.t)]
     expected = t.interval(0.95, 11, off.mean(), off.std(ddof=1) / np.sqrt(12))
-    assert item.dof == pytest.approx(11, abs=1e-6)
-    np.testing.assert_allclose(item.interval(0.95), expected, atol=3 * SIGMA_FLOOR)
+    assert estimate.dof == pytest.approx(11, abs=1e-6)
+    np.testing.assert_allclose(estimate.interval(0.95), expected, atol=3 * SIGMA_FLOOR)
 
 
 def test_degrees_of_freedom_are_welch_s():
     """The difference of two means whose variances are estimated apart (Welch 1947)."""
-    squares, counts = (4.0, 0.25), (5, 9)
+    squares = (4.0, 0.25)
+    counts = (5, 9)
     parts = np.array([s / n for s, n in zip(squares, counts, strict=True)])
     effect = np.zeros((2, 1, 2))  # of one residual per channel
     effect[[0, 1], 0, [0, 1]] = np.sqrt(parts)
@@ -81,12 +80,18 @@ def test_degrees_of_freedom_are_welch_s():
 
 @pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])
 def test_levels_are_quantiles_of_t_and_f(dof):
-    for item, level in zip(levels_of(dof), (0.682689492137, 0.95), strict=True):
-        one = chi2.ppf(level, 1) if dof is None else t.ppf((1 + level) / 2, dof) ** 2
-        two = chi2.ppf(level, 2) if dof is None else 2 * f.ppf(level, 2, dof)
-        assert item.delta_chi2 == pytest.approx(one, rel=1e-9)
-        assert item.delta_chi2_pair == pytest.approx(two, rel=1e-9)
-        assert item.sigmas**2 == pytest.approx(item.delta_chi2)
+    for level, probability in zip(levels_of(dof), (0.682689492137, 0.95), strict=True):
+        single = (
+            chi2.ppf(probability, 1)
+            if dof is None
+            else t.ppf((1 + probability) / 2, dof) ** 2
+        )
+        pair = (
+            chi2.ppf(probability, 2) if dof is None else 2 * f.ppf(probability, 2, dof)
+        )
+        assert level.delta_chi2 == pytest.approx(single, rel=1e-9)
+        assert level.delta_chi2_pair == pytest.approx(pair, rel=1e-9)
+        assert level.sigmas**2 == pytest.approx(level.delta_chi2)
 
 
 def test_twelve_rows_hold_the_truth_as_often_as_they_say():
@@ -100,12 +105,12 @@ def test_twelve_rows_hold_the_truth_as_often_as_they_say():
     for fit in chain.from_iterable(map(fit_throws, parts)):
         outliers += len(fit.outliers) > 0
         for name, true in truth.items():
-            item = fit.parameters[name]
-            if item.stderr is None:
+            estimate = fit.parameters[name]
+            if estimate.stderr is None:
                 continue
-            low, high = item.interval()
+            low, high = estimate.interval()
             inside += low <= true <= high
-            gaussian += abs(item.value - true) <= 1.96 * item.stderr
+            gaussian += abs(estimate.value - true) <= 1.96 * estimate.stderr
             several += 1
     assert several >= 1190
     assert 0.935 < inside / several < 0.965
@@ -119,7 +124,7 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
     row = rows // 2
     off = np.where(np.arange(rows) == row, sigmas * SIGMA["x"], 0.0)
     fit = curlfit.fit(replace(throw, x=throw.x + off))
-    assert [(item["channel"], item["t"]) for item in fit.outliers] == [
+    assert [(outlier["channel"], outlier["t"]) for outlier in fit.outliers] == [
         ("x", throw.t[row])
     ]
     outliers = finding_of(fit, "outliers")
@@ -136,11 +141,13 @@ def test_few_rows_have_their_interval_in_the_report():
 
 def with_little_on_one_side(seed):
     random = np.random.default_rng(seed)
-    low, high = (0, 0.02, 0, 0.004), (0.002, 0.1, 0.015, 0.015)
+    low = (0, 0.02, 0, 0.004)
+    high = (0.002, 0.1, 0.015, 0.015)
     law = curlfit.LAWS["front-back"](
         *(random.uniform(*ends) for ends in zip(low, high, strict=True))
     )
-    v, omega = random.uniform(1.9, 2.3), random.uniform(0.8, 1.6)
+    v = random.uniform(1.9, 2.3)
+    omega = random.uniform(0.8, 1.6)
     return filmed(law, random, times=np.arange(0, 15.05, 0.1), v=v, omega=omega)
 
 
@@ -150,9 +157,9 @@ def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
     chi squared."""
     fit = curlfit.fit(with_little_on_one_side(seed))
     assert fit.parameters["mu1_xi"].verdict == "at bound"
-    item = fit.parameters["mu2_xi"]
-    assert item.stderr < 0.01 * item.value
-    assert (item.verdict, item.reason) == ("determined", "")
+    estimate = fit.parameters["mu2_xi"]
+    assert estimate.stderr < 0.01 * estimate.value
+    assert (estimate.verdict, estimate.reason) == ("determined", "")
     assert "curve" not in codes_of(fit)
 
 
@@ -167,9 +174,9 @@ def test_a_weak_parameter_says_why():
     reason = "its standard error is more than half its typical size, 1"
     weak = replace(weak, reason=reason)
     fit = replace(fit, parameters=fit.parameters | {"omega0": weak})
-    said = sentences_on(replace(fit, parameters=fit.parameters | {"v0": weak}))
+    text = sentences_on(replace(fit, parameters=fit.parameters | {"v0": weak}))
     assert (
-        "are weakly determined: for each, its standard error is more than half" in said
+        "are weakly determined: for each, its standard error is more than half" in text
     )
 
 
@@ -183,10 +190,12 @@ def test_outliers_are_named_where_they_draw_the_fit_aside():
     throw = curlfit.Throw.from_arrays(t, phi=1.2 * t)
 
     def times(lag1):
-        found = outliers_of(
+        outliers = outliers_of(
             throw, residual, {"phi": lag1}, np.full(5, 175.0), 0 * residual, LINEAR
         )
-        return sorted(item["t"] for item in found if item["channel"] == "phi")
+        return sorted(
+            outlier["t"] for outlier in outliers if outlier["channel"] == "phi"
+        )
 
     assert times(0.99) == []
     residual[2, 60:63] += [5.3, 5.2, 5.1]

@@ -96,8 +96,8 @@ def test_the_modelled_rows_are_those_of_the_closed_form(fit):
     t = fit.observed["t"]
     expected, rest = closed_form(fit.values, t, fit.observed["omega"])
     assert 0 < (t > rest).sum() < 30
-    found = np.array([fit.fitted[name] for name in ("x", "y", "phi", "omega")])
-    assert np.abs(found - expected).max() < 1e-4
+    fitted = np.array([fit.fitted[name] for name in ("x", "y", "phi", "omega")])
+    assert np.abs(fitted - expected).max() < 1e-4
 
 
 def test_chi_squared_is_continuous_where_the_rest_passes_rows(fit):
@@ -132,7 +132,8 @@ def test_no_start_of_scipy_leads_lower(fit):
     observed = np.array([fit.observed[name] for name in names])
     sigma = np.array([[fit.sigma[name]] for name in names])
     free = np.array(fit.parameter_set.free)
-    lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
+    lower = fit.parameter_set.lower[free]
+    upper = fit.parameter_set.upper[free]
     typical = fit.parameter_set.typical[free]
 
     def residual(some):
@@ -141,7 +142,7 @@ def test_no_start_of_scipy_leads_lower(fit):
         path, _ = closed_form(values, fit.observed["t"], fit.observed["omega"])
         return np.nan_to_num((path[rows] - observed) / sigma, nan=1e6).ravel()
 
-    own = (residual(fit.values[free]) ** 2).sum()
+    chi_squared = (residual(fit.values[free]) ** 2).sum()
     random = np.random.default_rng(1)
     for size in np.geomspace(1e-3, 0.1, STARTS):
         start = fit.values[free] + size * typical * random.standard_normal(free.sum())
@@ -149,7 +150,7 @@ def test_no_start_of_scipy_leads_lower(fit):
         best = least_squares(
             residual, inside, bounds=(lower, upper), x_scale=typical, max_nfev=100
         )
-        assert own < 2 * best.cost + 0.1
+        assert chi_squared < 2 * best.cost + 0.1
 
 
 OF_STONE = [name for name, law in LAWS.items() if issubclass(law, curlfit.NetLaw)]
@@ -165,11 +166,13 @@ def searched_again(fit):
     """The problem of a fit as one of many, its optimum from the values of the fit, and
     starts with the rest in other rows."""
     problem = problem_of(fit)
-    known = fit.parameter_set
-    tasks = Tasks.of([(known, problem, fit.values)])
+    parameters = fit.parameter_set
+    tasks = Tasks.of([(parameters, problem, fit.values)])
     (best,) = unstacked(minimize_many(fit.model, tasks, 1))
-    bounds = known.lower, known.upper
-    starts = starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
+    bounds = parameters.lower, parameters.upper
+    starts = starts_with_other_rests(
+        fit.model, best, problem, *bounds, parameters.typical
+    )
     return tasks, best, starts
 
 
@@ -182,13 +185,15 @@ def test_from_a_minimum_in_another_row_the_search_goes_on():
     rest = rest_of(fit.values)
     rows = np.array([-8, -4, -2, -1, 1, 2, 4, 8])
     assert np.abs((rests - rest) / 0.1 - rows).max() < 1.0
-    others = [
-        unstacked(minimize_many(fit.model, tasks._replace(start=one[None]), 1))[0]
-        for one in starts
+    optima = [
+        unstacked(minimize_many(fit.model, tasks._replace(start=start[None]), 1))[0]
+        for start in starts
     ]
-    chi_squared = np.array([one.chi_squared for one in others])
+    chi_squared = np.array([optimum.chi_squared for optimum in optima])
     assert (chi_squared > best.chi_squared - 1e-6).all()
-    worse = [one for one in others if one.chi_squared > best.chi_squared + 1]
+    worse = [
+        optimum for optimum in optima if optimum.chi_squared > best.chi_squared + 1
+    ]
     assert worse
 
 

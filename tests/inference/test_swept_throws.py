@@ -35,9 +35,9 @@ def fitted(swept):
 
 
 def test_the_friction_while_swept_is_found(fitted):
-    item = fitted.parameters["sweep"]
-    assert item.verdict == "determined"
-    assert abs(item.value - 0.85) < 3 * item.stderr < 0.01
+    sweep = fitted.parameters["sweep"]
+    assert sweep.verdict == "determined"
+    assert abs(sweep.value - 0.85) < 3 * sweep.stderr < 0.01
     assert fitted.conditions.keys() == {"sweep"}
     total = fitted.combinations[0]
     assert abs(total.value - 0.018) < 3 * total.stderr
@@ -46,9 +46,9 @@ def test_the_friction_while_swept_is_found(fitted):
 
 def test_a_fit_that_does_not_know_of_it_says_so(swept):
     """And what it says to try finds the sweeping (see also `test_change_points`)."""
-    said = sweep_of(finding_of(curlfit.fit(swept), "residuals-change"))
-    assert said == pytest.approx([T0 + time for time in SWEPT], abs=1.5)
-    again = curlfit.fit(swept, swept=said, details=False)
+    times = sweep_of(finding_of(curlfit.fit(swept), "residuals-change"))
+    assert times == pytest.approx([T0 + time for time in SWEPT], abs=1.5)
+    again = curlfit.fit(swept, swept=times, details=False)
     assert again.parameters["sweep"].value == pytest.approx(0.85, abs=0.05)
 
 
@@ -71,18 +71,18 @@ def test_a_joint_fit_says_what_single_fits_say(swept):
     """The throw that was swept is named, with the times that its own fit gives; the
     others are not. Beside one whose sweeping is known, too: `sweep` is then a
     parameter of all, and has no effect on this one."""
-    others = [replace(thrown(seed, factor=1.0), name=f"{seed}") for seed in (2, 3)]
+    unswept = [replace(thrown(seed, factor=1.0), name=f"{seed}") for seed in (2, 3)]
     suspect = replace(swept, name="suspect")
     alone = finding_of(curlfit.fit(suspect), "residuals-change")
-    together = curlfit.fit_together([suspect, *others], share="all")
-    said = abrupt_changes(together)
-    assert said.keys() == {"suspect"}
-    assert sweep_of(said["suspect"]) == pytest.approx(sweep_of(alone), abs=1.0)
+    together = curlfit.fit_together([suspect, *unswept], share="all")
+    changes = abrupt_changes(together)
+    assert changes.keys() == {"suspect"}
+    assert sweep_of(changes["suspect"]) == pytest.approx(sweep_of(alone), abs=1.0)
     assert finding_of(together, "residuals-change").about == ("suspect",)
-    known = replace(
+    declared = replace(
         thrown(4), name="known", defaults={"swept": [T0 + time for time in SWEPT]}
     )
-    mixed = curlfit.fit_together([suspect, known, others[0]], share="all")
+    mixed = curlfit.fit_together([suspect, declared, unswept[0]], share="all")
     assert abrupt_changes(mixed).keys() == {"suspect"}
 
 

@@ -29,7 +29,10 @@ from curlfit.throws.throw import Throw
 
 G = 9.81
 # m from the hack (World Curling, rule R1)
-BACK, HOG, FAR, TEE = 1.829, 10.059, 32.004, 38.405
+BACK = 1.829
+HOG = 10.059
+FAR = 32.004
+TEE = 38.405
 MODEL = Model(LAWS["coulomb"], "uniform")
 EVENTS = (
     Event("back_to_hog", "time", 3.6, 0.1, HOG, BACK),
@@ -48,12 +51,15 @@ SIGMA = {event.name: event.sigma for event in EVENTS}
 def motion(mu, heading, v, y=HOG):
     """Times at lines and places at rest under a deceleration mu g on a straight
     line from y."""
-    a, c = mu * G, np.cos(heading)
+    a = mu * G
+    c = np.cos(heading)
 
     def time(line):
         return (v - np.sqrt(np.maximum(v**2 - 2 * a * (line - y) / c, 0))) / a
 
-    rest, length, tangent = v / a, v**2 / (2 * a), np.tan(heading)
+    rest = v / a
+    length = v**2 / (2 * a)
+    tangent = np.tan(heading)
     return {
         "back_to_hog": time(HOG),
         "hog_to_hog": time(FAR) - time(HOG),
@@ -74,8 +80,10 @@ def from_back(mu, heading, v):
 
 def record(**values):
     """Events of a record from the near hog line."""
-    known = {event.name: event for event in EVENTS}
-    return tuple(replace(known[name], value=value) for name, value in values.items())
+    events_by_name = {event.name: event for event in EVENTS}
+    return tuple(
+        replace(events_by_name[name], value=value) for name, value in values.items()
+    )
 
 
 def residual_of(values, *parameters):
@@ -115,7 +123,7 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
     rest = np.argmax((path.vx == 0) & (path.vy == 0))
     x = np.interp([HOG, FAR], path.y, path.x)
     speed, omega = (np.interp(HOG, path.y, rate) for rate in (path.speed, path.omega))
-    found = predicted(problem, vector(0.0095, 0.02, 2.7, omega=4.0))
+    prediction = predicted(problem, vector(0.0095, 0.02, 2.7, omega=4.0))
     expected = [
         crossed[0],
         crossed[1] - crossed[0],
@@ -129,7 +137,7 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
     ]
     # the grid's chords are 1e-5 s from the curve, its last row up to 2 ms from rest
     assert (
-        np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1, 1, 1])
+        np.abs(prediction - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1, 1, 1])
     ).all()
 
 
@@ -140,10 +148,10 @@ def slopes(problem, values):
         Throw.from_events(EVENTS), Fitting.of(law="coulomb")
     ).parameters
     tasks = Tasks.of([(parameters, problem, value) for value in values])
-    found = solve(MODEL, tasks._replace(lower=tasks.start, upper=tasks.start))
-    np.testing.assert_array_equal(found.values, values)
+    solution = solve(MODEL, tasks._replace(lower=tasks.start, upper=tasks.start))
+    np.testing.assert_array_equal(solution.values, values)
     return tuple(
-        part[:, -1, : len(EVENTS)] for part in (found.residual, found.jacobian)
+        part[:, -1, : len(EVENTS)] for part in (solution.residual, solution.jacobian)
     )
 
 
@@ -179,7 +187,7 @@ def test_chi_squared_has_no_corner_where_the_stone_stops(problem):
         """And its derivative by the speed, and that speed."""
         v = np.sqrt(2 * mu * G * length)
         residual, jacobian = slopes(
-            problem, np.stack([vector(mu, 0.0, one) for one in v])
+            problem, np.stack([vector(mu, 0.0, speed) for speed in v])
         )
         return (residual**2).sum(1), 2 * (residual * jacobian[..., 4]).sum(1), v
 
@@ -208,16 +216,18 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     )
     stderr = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))
     for name, value, error in zip(("mu", "heading", "v0"), peer.x, stderr, strict=True):
-        found = result.parameters[name]
-        assert found.verdict == "determined"
-        assert found.value == pytest.approx(value, rel=1e-6)
-        assert found.stderr == pytest.approx(error, rel=1e-4)
+        estimate = result.parameters[name]
+        assert estimate.verdict == "determined"
+        assert estimate.value == pytest.approx(value, rel=1e-6)
+        assert estimate.stderr == pytest.approx(error, rel=1e-4)
     fixed = {
-        name for name, item in result.parameters.items() if item.verdict == "fixed"
+        name
+        for name, parameter in result.parameters.items()
+        if parameter.verdict == "fixed"
     }
     assert fixed == {"x0", "y0", "phi0", "omega0"}
     # nothing is left over, and the curves cover the motion from the line to rest
-    assert max(abs(one["fitted"] - one["value"]) for one in result.events) < 1e-6
+    assert max(abs(event["fitted"] - event["value"]) for event in result.events) < 1e-6
     assert len(result.fitted["y"]) == 200
     assert result.fitted["y"][[0, -1]] == pytest.approx([HOG, TEE + 0.6])
     result.save(tmp_path / "fit.json")
@@ -239,7 +249,8 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
     truth = {"mu2_xi - mu1_xi": 0.046, "mu1_eta + mu2_eta": 0.018}
     peer = Reference(front_back(0.004, 0.05, 0.009, 0.009), R=0.065, nodes=40)
     random = np.random.default_rng(5)
-    rows, states = ["speed_km_h,spin_rpm,curl_cm,rest,turns,sigma_speed"], []
+    rows = ["speed_km_h,spin_rpm,curl_cm,rest,turns,sigma_speed"]
+    states = []
     for v, omega in zip(
         np.linspace(1.8, 2.3, 12), np.tile([0.6, -1.0, 2.0, -3.0], 3), strict=True
     ):
@@ -262,12 +273,12 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
         assert abs(found.value - value) < 3 * found.stderr
     # twelve resting places tell each speed better than its own measurement does
     off = [
-        (one.parameters[name].value - true) / one.parameters[name].stderr
-        for one, pair in zip(joint.throws, states, strict=True)
+        (fit.parameters[name].value - true) / fit.parameters[name].stderr
+        for fit, pair in zip(joint.throws, states, strict=True)
         for name, true in zip(("v0", "omega0"), pair, strict=True)
     ]
     assert 0.6 < np.std(off) < 1.4
-    assert all(one.parameters["omega0"].stderr < 0.051 for one in joint.throws)
+    assert all(fit.parameters["omega0"].stderr < 0.051 for fit in joint.throws)
 
 
 @pytest.mark.parametrize(
@@ -279,8 +290,8 @@ def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     expected = motion(
         *(result.parameters[name].value for name in ("mu", "heading", "v0"))
     )
-    for one in result.events:
-        assert one["fitted"] == pytest.approx(expected[one["name"]], abs=1e-6)
+    for event in result.events:
+        assert event["fitted"] == pytest.approx(expected[event["name"]], abs=1e-6)
     missed = str(finding_of(result, "events-missed"))
     assert (
         f"hog_to_rest by {abs(12.5 - expected['hog_to_rest']) / 0.1:.2g} sigma"
@@ -290,14 +301,18 @@ def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
 
 
 def test_systematic_errors_of_lengths_and_times(problem):
-    mu, v, width, small = 0.0092, 2.6, 1e-3, 1e-6
-    at, one = vector(mu, 0.0, v)[None], stacked([problem])
-    path = predict_many(MODEL, at, one, 1)
+    mu = 0.0092
+    v = 2.6
+    width = 1e-3
+    small = 1e-6
+    at = vector(mu, 0.0, v)[None]
+    problems = stacked([problem])
+    path = predict_many(MODEL, at, problems, 1)
     widths = {"length_scale": width, "time_scale": width}
-    found = residual_changes(MODEL, one, at, path, widths, 1)
+    effects = residual_changes(MODEL, problems, at, path, widths, 1)
     changes = {
         name: change[0, -1, : len(EVENTS)] * [event.sigma for event in EVENTS] / width
-        for name, change in found.items()
+        for name, change in effects.items()
     }
     # where lengths are measured too long, the stone is faster and is slowed
     # as much more
@@ -359,22 +374,22 @@ def curled():
 
 
 def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
-    found = curlfit.fit(curled, "coulomb")
-    said = finding_of(found, "law-cannot-curl")
+    fit = curlfit.fit(curled, "coulomb")
+    finding = finding_of(fit, "law-cannot-curl")
     words = (
         "the coulomb law cannot curl a stone: the measured curl of 1.00 m "
         "to the left is in "
     )
-    assert str(said).startswith(words + "the heading; ")
-    assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
+    assert str(finding).startswith(words + "the heading; ")
+    assert abs(fit["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
 
 
 @pytest.mark.slow
 def test_a_prediction_by_a_law_that_cannot_curl_says_so(curled):
-    found = curlfit.fit(curled, "coulomb")
-    said = finding_of(found, "law-cannot-curl")
-    predicted = curlfit.predict(found, start={"v0": 2.2}, draws=100)
-    assert said in predicted.warnings
+    fit = curlfit.fit(curled, "coulomb")
+    finding = finding_of(fit, "law-cannot-curl")
+    predicted = curlfit.predict(fit, start={"v0": 2.2}, draws=100)
+    assert finding in predicted.warnings
     assert describe_rest(predicted)[1] == "It does not curl."
 
 
@@ -382,8 +397,8 @@ def test_a_path_that_curls_names_its_curl_and_a_straight_one_none():
     t = np.linspace(0, 20, 201)
     x = -0.9 * (t / 20) ** 3
     y = 10.059 + 2.2 * t - 0.05 * t**2
-    said = curlfit.fit(Throw.from_arrays(t, x, y, t), "coulomb").warnings
-    (finding,) = [item for item in said if item.code == "law-cannot-curl"]
+    warnings = curlfit.fit(Throw.from_arrays(t, x, y, t), "coulomb").warnings
+    (finding,) = [warning for warning in warnings if warning.code == "law-cannot-curl"]
     assert "the measured curl of 0." in str(finding)
     assert finding.numbers["where"] == ["in the heading", "in the residuals"]
     straight = Throw.from_arrays(t, 0.01 * np.sin(5 * t), y, t)

@@ -28,8 +28,8 @@ def test_a_stack_of_one_is_computed_without_vmap_and_alike():
     factors = np.array([2.0, 3.0])
     expected = factors * np.prod([[0.0, 1.0], [2.0, 3.0]], axis=0)
     stack = pairs(2)
-    both = over_stack(product, stack, factors)["product"]
-    assert both.tolist() == expected.tolist()
+    products = over_stack(product, stack, factors)["product"]
+    assert products.tolist() == expected.tolist()
     first = Pair(stack.left[:1], stack.right[:1])
     alone = over_stack(product, first, factors[:1])["product"]
     assert alone.tolist() == expected[:1].tolist()

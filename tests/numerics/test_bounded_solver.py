@@ -15,7 +15,8 @@ from curlfit.inference.solve.least_squares import Control
 from curlfit.numerics import bounded_solver as bounded
 from curlfit.numerics.arrow_matrix import Blocks
 
-LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
+LOWER = np.array([0, -0.005, -0.3, 0])
+UPPER = np.array([np.inf, 0.005, 0.3, np.inf])
 
 
 def problem(seed):
@@ -82,7 +83,7 @@ def optimum(of, start=(0.0,) * 4, kind="smooth"):
 @pytest.mark.parametrize("seed", range(2))
 def test_the_optimum_within_bounds_is_that_of_scipy(seed):
     of = problem(seed)
-    found = optimum(of)
+    solution = optimum(of)
     start = np.clip(np.zeros(4), LOWER + 1e-6, UPPER - 1e-6)
     scipys = least_squares(
         residual,
@@ -95,13 +96,13 @@ def test_the_optimum_within_bounds_is_that_of_scipy(seed):
         x_scale=[1, 0.01, 1, 100],
         max_nfev=5000,
     )
-    ours = float((residual(np.asarray(found.value), of) ** 2).sum() / 2)
+    ours = float((residual(np.asarray(solution.value), of) ** 2).sum() / 2)
     assert ours <= scipys.cost * (1 + 1e-8) + 1e-12
-    assert (found.value >= LOWER).all()
-    assert (found.value <= UPPER).all()
-    assert found.stats["num_steps"] <= 8
-    at = residual(np.asarray(found.value), of)
-    np.testing.assert_allclose(found.state.residual, at, atol=1e-6)
+    assert (solution.value >= LOWER).all()
+    assert (solution.value <= UPPER).all()
+    assert solution.stats["num_steps"] <= 8
+    at = residual(np.asarray(solution.value), of)
+    np.testing.assert_allclose(solution.state.residual, at, atol=1e-6)
 
 
 def test_problems_side_by_side_take_the_steps_of_each_alone():
@@ -117,7 +118,7 @@ def test_problems_side_by_side_take_the_steps_of_each_alone():
 def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
     """Two blocks share their first two parameters; one tangent serves a
     parameter of both."""
-    both = problem(0), problem(1)
+    problems = problem(0), problem(1)
     layout = Blocks.of(np.array([True, True, False, False]), 2)
     blocks = layout.index
     np.testing.assert_array_equal(blocks, [[0, 1, 2, 3], [0, 1, 4, 5]])
@@ -125,12 +126,15 @@ def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
 
     def rows(z, xp=jnp):
         return xp.stack(
-            [residual(z[own], of, xp) for own, of in zip(blocks, both, strict=True)]
+            [
+                residual(z[block], of, xp)
+                for block, of in zip(blocks, problems, strict=True)
+            ]
         )
 
-    found = solved(rows, np.zeros(6), lower, upper, layout)
+    solution = solved(rows, np.zeros(6), lower, upper, layout)
     inside = np.clip(np.zeros(6), lower + 1e-6, upper - 1e-6)
-    whole = least_squares(
+    by_scipy = least_squares(
         lambda z: rows(z, np).ravel(),
         inside,
         bounds=(lower, upper),
@@ -140,18 +144,19 @@ def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
         x_scale=[1, 0.01, 1, 100, 1, 100],
         max_nfev=5000,
     )
-    assert found.state.success
-    assert (found.state.residual**2).sum() / 2 <= whole.cost * (1 + 1e-8)
-    for jacobian, (matrix, _), own in zip(
-        found.state.jacobian, both, blocks, strict=True
+    assert solution.state.success
+    assert (solution.state.residual**2).sum() / 2 <= by_scipy.cost * (1 + 1e-8)
+    for jacobian, (matrix, _), block in zip(
+        solution.state.jacobian, problems, blocks, strict=True
     ):
-        last = [0.3 * float(found.value[own[0]]) ** 2, 0, -0.1, 0]
+        last = [0.3 * float(solution.value[block[0]]) ** 2, 0, -0.1, 0]
         np.testing.assert_allclose(jacobian, [*matrix, last], atol=1e-6)
 
 
 def test_a_model_that_is_not_smooth_ends_at_the_best_values_met():
     """No trial is accepted in the end."""
-    noisy, exact = optimum(problem(1), kind="rippled"), optimum(problem(1))
+    noisy = optimum(problem(1), kind="rippled")
+    exact = optimum(problem(1))
     assert noisy.state.success
     assert float(noisy.state.model.f) == pytest.approx(
         float(exact.state.model.f), rel=1e-3
@@ -166,9 +171,9 @@ def test_a_start_without_a_path_is_no_success():
 
 def test_a_start_without_a_derivative_has_no_residual():
     """Where it is not known, nothing finite may stand for it."""
-    found = optimum(problem(1), kind="without a derivative")
-    assert found.result != optx.RESULTS.successful
-    assert np.isnan(found.state.residual).all()
+    solution = optimum(problem(1), kind="without a derivative")
+    assert solution.result != optx.RESULTS.successful
+    assert np.isnan(solution.state.residual).all()
 
 
 @pytest.mark.parametrize("blocks", [1, 3])
@@ -177,15 +182,13 @@ def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
     layout = Blocks.of(np.arange(10) < 4, blocks)
     size = 4 + 6 * blocks
     rows = random.normal(size=(blocks, 12, 10)) * 10.0 ** random.uniform(-3, 0, 10)
-    whole = np.zeros((blocks, 12, size))
-    for one, index, part in zip(whole, layout.index, rows, strict=True):
-        one[:, index] = part
-    matrix = whole.reshape(-1, size).T @ whole.reshape(-1, size)
+    all_rows = np.zeros((blocks, 12, size))
+    for block, index, part in zip(all_rows, layout.index, rows, strict=True):
+        block[:, index] = part
+    matrix = all_rows.reshape(-1, size).T @ all_rows.reshape(-1, size)
     scale = 1 / np.sqrt(np.diagonal(matrix))
-    right, dense = (
-        random.normal(size=size),
-        matrix * np.outer(scale, scale) + 1e-10 * np.eye(size),
-    )
+    right = random.normal(size=size)
+    dense = matrix * np.outer(scale, scale) + 1e-10 * np.eye(size)
     arrow = jax.jit(lambda rows, scale: layout.normal(rows).scaled(scale, 1e-10))(
         rows, scale
     )
@@ -193,6 +196,7 @@ def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
     np.testing.assert_allclose(arrow.mv(right), dense @ right, rtol=1e-9, atol=1e-12)
     program = jax.jit(lambda matrix, right: matrix.solve(right)).lower(arrow, right)
     assert "custom_call" not in program.as_text()
-    found, expected = program.compile()(arrow, right), np.linalg.solve(dense, right)
+    solution = program.compile()(arrow, right)
+    expected = np.linalg.solve(dense, right)
     allowed = 10 * np.finfo(float).eps * np.linalg.cond(dense)
-    assert np.linalg.norm(found - expected) < allowed * np.linalg.norm(expected)
+    assert np.linalg.norm(solution - expected) < allowed * np.linalg.norm(expected)

@@ -21,11 +21,11 @@ EXACT = np.array([[[2.0, 0.5, 0], [np.exp(0.5), 0, 0]], [[0, 12.0, 0], [0, 0, 1.
 
 def test_central_differences_and_one_sided_ones_at_a_bound():
     step = np.array([1e-4, 1e-4, 1e-3])
-    found = slopes(
+    derivatives = slopes(
         function, AT, step, lower=[-np.inf, -np.inf, 0.0], upper=[np.inf, 9.0, 9.0]
     )
-    assert found.shape == (2, 2, 3)
-    np.testing.assert_allclose(found, EXACT, rtol=1e-8, atol=1e-12)
+    assert derivatives.shape == (2, 2, 3)
+    np.testing.assert_allclose(derivatives, EXACT, rtol=1e-8, atol=1e-12)
     without = slopes(function, AT, step)
     assert without[1, 1, 2] == 0.0
     # nothing is evaluated outside the bounds

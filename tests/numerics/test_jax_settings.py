@@ -124,7 +124,8 @@ def test_python_says_so_too(tmp_path, setting):
 
 
 def test_a_program_is_not_run_where_jax_may_not_compile():
-    law, stone = curlfit.law_with("coulomb", {}), curlfit.Stone()
+    law = curlfit.law_with("coulomb", {})
+    stone = curlfit.Stone()
     start = curlfit.InitialState(v=2.0, omega=1.0)
     times = np.array([0.0, 0.1, 0.2])
     before = curlfit.simulate(law, stone, start, times)

@@ -7,11 +7,9 @@ from scipy.stats import multivariate_normal
 
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, within
 
-MEAN, EFFECTS, SPREADS = (
-    np.array([1.0, 2.0, 0.3]),
-    np.array([[0.5, -0.2]]),
-    np.array([0.3, 0.6]),
-)
+MEAN = np.array([1.0, 2.0, 0.3])
+EFFECTS = np.array([[0.5, -0.2]])
+SPREADS = np.array([0.3, 0.6])
 DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.5]])
 
 
@@ -27,19 +25,22 @@ def simulated(blocks, seed, spreads=SPREADS):
 
 def dense(rows, target, covariates, variances):
     """-2 log restricted likelihood, the estimate and its covariance, block by block."""
-    found, normal, right, square = 0.0, 0.0, 0.0, 0.0
-    for own, z, x in zip(rows, target, covariates, strict=True):
-        along = own @ DIRECTIONS
+    deviance = 0.0
+    normal = 0.0
+    right = 0.0
+    square = 0.0
+    for block, z, x in zip(rows, target, covariates, strict=True):
+        along = block @ DIRECTIONS
         matrix = np.eye(3) + along @ np.diag(variances) @ along.T
-        design = np.concatenate([own, along * x], 1)
+        design = np.concatenate([block, along * x], 1)
         normal = normal + design.T @ np.linalg.solve(matrix, design)
         right = right + design.T @ np.linalg.solve(matrix, z)
-        found += -2 * multivariate_normal.logpdf(z, np.zeros(3), matrix) - 3 * np.log(
-            2 * np.pi
-        )
+        deviance += -2 * multivariate_normal.logpdf(
+            z, np.zeros(3), matrix
+        ) - 3 * np.log(2 * np.pi)
     best = np.linalg.solve(normal, right)
     return (
-        found + np.linalg.slogdet(normal)[1] - right @ best + square,
+        deviance + np.linalg.slogdet(normal)[1] - right @ best + square,
         best,
         np.linalg.inv(normal),
     )
@@ -51,17 +52,17 @@ def test_the_estimate_is_that_of_the_dense_likelihood():
     assert model.criterion(SPREADS**2) == pytest.approx(
         dense(rows, target, covariates, SPREADS**2)[0], abs=1e-5
     )
-    found = model.fitted(np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf))
+    fit = model.fitted(np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf))
     peer = minimize(
         lambda v: dense(rows, target, covariates, np.exp(v))[0],
         np.log([0.1, 0.1]),
         method="Nelder-Mead",
         options={"xatol": 1e-6, "fatol": 1e-9},
     )
-    assert np.log(found.variances) == pytest.approx(peer.x, abs=1e-3)
-    _, best, covariance = dense(rows, target, covariates, found.variances)
-    assert found.estimate == pytest.approx(best, abs=1e-6)
-    assert found.covariance == pytest.approx(covariance, abs=1e-6)
+    assert np.log(fit.variances) == pytest.approx(peer.x, abs=1e-3)
+    _, best, covariance = dense(rows, target, covariates, fit.variances)
+    assert fit.estimate == pytest.approx(best, abs=1e-6)
+    assert fit.covariance == pytest.approx(covariance, abs=1e-6)
 
 
 def test_the_slopes_of_the_criterion_are_those_of_the_dense_likelihood():
@@ -99,14 +100,14 @@ def test_further_covariates_are_as_if_they_had_been_there():
 
 def test_a_block_before_its_own_observations_is_as_without_it():
     rows, target, covariates, _ = simulated(12, 2)
-    found = MixedModel.of(rows, target, DIRECTIONS, covariates).fitted(
+    fit = MixedModel.of(rows, target, DIRECTIONS, covariates).fitted(
         np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf)
     )
-    mean, matrix = found.predicted_by_others()
-    _, best, covariance = dense(rows[1:], target[1:], covariates[1:], found.variances)
-    to = found.at(covariates[:1])[0]
+    mean, matrix = fit.predicted_by_others()
+    _, best, covariance = dense(rows[1:], target[1:], covariates[1:], fit.variances)
+    to = fit.at(covariates[:1])[0]
     assert mean[0] == pytest.approx(to @ best, abs=1e-6)
-    between = DIRECTIONS * found.variances @ DIRECTIONS.T
+    between = DIRECTIONS * fit.variances @ DIRECTIONS.T
     assert matrix[0] == pytest.approx(to @ covariance @ to.T + between, abs=1e-6)
 
 
@@ -118,7 +119,7 @@ def test_what_is_cut_keeps_its_variance_and_the_others_follow_it():
     model = MixedModel.of(rows, target, DIRECTIONS, covariates, held)
     anywhere = np.full(3, np.inf)
     cut = np.array([0.0, 0.0, 0.2**2])
-    found = MixedFit(model, SPREADS**2, -anywhere, anywhere, cut)
+    fit = MixedFit(model, SPREADS**2, -anywhere, anywhere, cut)
     _, best, covariance = dense(rows, target, covariates, SPREADS**2)
 
     def where_the_third_is(value):
@@ -128,10 +129,10 @@ def test_what_is_cut_keeps_its_variance_and_the_others_follow_it():
     given_the_third = (
         covariance - np.outer(covariance[2], covariance[2]) / covariance[2, 2]
     )
-    assert found.estimate == pytest.approx(where_the_third_is(0.5), abs=1e-4)
+    assert fit.estimate == pytest.approx(where_the_third_is(0.5), abs=1e-4)
     expected = given_the_third + np.outer(moved, moved)
-    assert found.covariance == pytest.approx(expected, abs=1e-4)
-    assert found.unbounded[1] == pytest.approx(expected, abs=1e-4)
+    assert fit.covariance == pytest.approx(expected, abs=1e-4)
+    assert fit.unbounded[1] == pytest.approx(expected, abs=1e-4)
 
 
 def test_without_deviations_their_size_is_zero_in_half_of_the_cases():
@@ -139,34 +140,33 @@ def test_without_deviations_their_size_is_zero_in_half_of_the_cases():
     for seed in range(20):
         rows, target, covariates, _ = simulated(10, seed, spreads=np.zeros(2))
         model = MixedModel.of(rows, target, DIRECTIONS, covariates)
-        found = model.fitted(np.full(2, 1e-3), np.full(3, -np.inf), np.full(3, np.inf))
-        zero += int((found.variances == 0).sum())
+        fit = model.fitted(np.full(2, 1e-3), np.full(3, -np.inf), np.full(3, np.inf))
+        zero += int((fit.variances == 0).sum())
     assert 10 <= zero <= 32
 
 
 def test_a_mean_outside_its_bounds_stays_at_them():
     rows, target, covariates, _ = simulated(40, 3)
     model = MixedModel.of(rows, target, DIRECTIONS, covariates[:, :0])
-    found = model.fitted(np.full(2, 0.1), np.array([1.2, -9.0, -9.0]), np.full(3, 9.0))
-    assert found.estimate[0] == pytest.approx(1.2, abs=1e-12)
-    assert found.covariance[0, 0] == pytest.approx(0.0, abs=1e-12)
-    free, _ = found.unbounded
+    fit = model.fitted(np.full(2, 0.1), np.array([1.2, -9.0, -9.0]), np.full(3, 9.0))
+    assert fit.estimate[0] == pytest.approx(1.2, abs=1e-12)
+    assert fit.covariance[0, 0] == pytest.approx(0.0, abs=1e-12)
+    free, _ = fit.unbounded
     assert free[0] < 1.2
-    assert found.estimate[1] != pytest.approx(free[1], abs=1e-9)
+    assert fit.estimate[1] != pytest.approx(free[1], abs=1e-9)
 
 
 def test_the_minimum_within_bounds_is_that_of_a_general_solver():
     random = np.random.default_rng(5)
     for _ in range(5):
-        root, right = random.normal(size=(5, 4)), random.normal(size=4)
-        normal, sides, limits = (
-            root.T @ root + 0.1 * np.eye(4),
-            random.normal(size=(6, 4)),
-            -0.1,
-        )
+        root = random.normal(size=(5, 4))
+        right = random.normal(size=4)
+        normal = root.T @ root + 0.1 * np.eye(4)
+        sides = random.normal(size=(6, 4))
+        limits = -0.1
         length = np.linalg.cholesky(normal).T
         free = np.linalg.solve(normal, right)
-        found, held = within(free, length, sides, np.full(6, limits))
+        minimum, held = within(free, length, sides, np.full(6, limits))
         peer = minimize(
             lambda x, normal=normal, right=right: x @ normal @ x / 2 - right @ x,
             np.zeros(4),
@@ -175,8 +175,8 @@ def test_the_minimum_within_bounds_is_that_of_a_general_solver():
             constraints=LinearConstraint(sides, limits),
             options={"ftol": 1e-14},
         )
-        assert found == pytest.approx(peer.x, abs=1e-5)
-        assert held @ found == pytest.approx(np.full(len(held), limits), abs=1e-9)
+        assert minimum == pytest.approx(peer.x, abs=1e-5)
+        assert held @ minimum == pytest.approx(np.full(len(held), limits), abs=1e-9)
         assert len(held)
 
 
@@ -184,9 +184,9 @@ def test_means_of_groups_stay_within_bounds():
     rows, target, covariates, _ = simulated(40, 6)
     model = MixedModel.of(rows, target, DIRECTIONS, covariates)
     least = np.array([1.0, -np.inf, -np.inf])
-    found = model.fitted(np.full(2, 0.1), least, np.full(3, np.inf))
-    groups = found.at(np.unique(covariates, axis=0)) @ found.estimate
+    fit = model.fitted(np.full(2, 0.1), least, np.full(3, np.inf))
+    groups = fit.at(np.unique(covariates, axis=0)) @ fit.estimate
     assert groups[0, 0] == pytest.approx(1.0, abs=1e-9)
     assert groups[1, 0] > 1.1
-    held = found.at(np.unique(covariates, axis=0))[0, 0]
-    assert held @ found.covariance @ held == pytest.approx(0.0, abs=1e-12)
+    held = fit.at(np.unique(covariates, axis=0))[0, 0]
+    assert held @ fit.covariance @ held == pytest.approx(0.0, abs=1e-12)

@@ -101,13 +101,13 @@ def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(run):
     """XLA itself would crash, or compute other numbers."""
     run()
     for file in run.folder.iterdir():
-        whole = file.read_bytes()
-        places = np.linspace(0, len(whole) - 1, 8).astype(int)
-        file.write_bytes(whole[:-200])  # cut short
+        program = file.read_bytes()
+        offsets = np.linspace(0, len(program) - 1, 8).astype(int)
+        file.write_bytes(program[:-200])  # cut short
         assert cache.read(file) is None
-        for bit, place in enumerate(places):  # from the first byte to the last
-            damaged = bytearray(whole)
-            damaged[place] ^= 1 << bit
+        for bit, offset in enumerate(offsets):  # from the first byte to the last
+            damaged = bytearray(program)
+            damaged[offset] ^= 1 << bit
             file.write_bytes(damaged)
             assert cache.read(file) is None
     assert run() == 3  # with the right numbers
@@ -116,12 +116,12 @@ def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(run):
 
 def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(tmp_path):
     """What JAX takes out of its cache and stores again cannot be run."""
-    place = {
+    environment = {
         "CURLFIT_CACHE": str(tmp_path / "cache"),
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    done = python(*STRICT, "-c", CODE + CALLS, **place)
+    done = python(*STRICT, "-c", CODE + CALLS, **environment)
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
     assert list((tmp_path / "cache" / "programs").iterdir()) == []
     assert list((tmp_path / "jax").iterdir()) != []
@@ -188,15 +188,15 @@ root = pytest.mark.skipif(
 
 @posix
 def test_what_is_kept_is_the_users_own_whatever_the_umask(keeping, tmp_path):
-    place = tmp_path / "new" / "cache"
+    cache_folder = tmp_path / "new" / "cache"
     done = keeping(
         "os.umask(0); cache.folder.cache_clear(); folder = cache.folder()\n"
         "cache.write(folder / 'a', b'one'); print(cache.read(folder / 'a'))",
-        place=place,
+        place=cache_folder,
     )
     assert (done.stdout, done.stderr) == ("b'one'\n", "")
-    assert stat.S_IMODE((place / "programs" / "a").stat().st_mode) == 0o600
-    assert stat.S_IMODE((place / "programs").stat().st_mode) == 0o700
+    assert stat.S_IMODE((cache_folder / "programs" / "a").stat().st_mode) == 0o600
+    assert stat.S_IMODE((cache_folder / "programs").stat().st_mode) == 0o700
 
 
 @posix
@@ -215,11 +215,11 @@ def test_a_folder_that_others_may_write_is_no_cache(run):
     for which in ("cache/programs", "."):
         open_ = run.folder.parent.parent / which
         open_.chmod(0o770)
-        count, said = run(stderr=True)
+        count, message = run(stderr=True)
         assert count == 3
-        assert said.count("\n") == 1
-        assert "Warning: compiled programs are not kept in" in said
-        assert f"others may write to {open_.resolve()};" in said
+        assert message.count("\n") == 1
+        assert "Warning: compiled programs are not kept in" in message
+        assert f"others may write to {open_.resolve()};" in message
         open_.chmod(0o700)
     assert run() == 0
 
@@ -231,9 +231,9 @@ def test_a_file_or_folder_of_another_user_is_not_read(run):
     os.chown(file, 12345, -1)
     assert run() == 1
     os.chown(run.folder, 12345, -1)
-    count, said = run(stderr=True)
+    count, message = run(stderr=True)
     assert count == 3
-    assert "others may write to" in said
+    assert "others may write to" in message
     os.chown(run.folder, 0, -1)
     assert run() == 0
 

@@ -268,13 +268,13 @@ def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
 def test_the_parts_of_a_long_record_make_the_whole():
     """601 rows, in three parts: the rows at whole multiples, and those between."""
     throw = PlannedThrow(2.0, 1.5, 30.0, STONE)
-    (whole,) = record_information(
+    (record,) = record_information(
         Assumptions(LAW, "uniform", TRUE, NOISE, 20.0), [throw]
     )
-    assert whole.rows == 601
+    assert record.rows == 601
 
     slopes = jacobian_by_differences("uniform", 2.0, 1.5, np.arange(601) / 30.0)
-    information = np.einsum("cij,cik->cjk", whole.factors, whole.factors)
+    information = np.einsum("cij,cik->cjk", record.factors, record.factors)
     for index in (0, 1, 7, 9):
         slope = slopes[..., index] * (0.01 if index < 4 else 1.0)
         np.testing.assert_allclose(

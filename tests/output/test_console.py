@@ -26,7 +26,7 @@ from curlfit.wording import compact, format_estimate, p_text
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, eq12_posterior):
     """Throws, and a fit with a posterior."""
-    place = tmp_path_factory.mktemp("printed")
+    root = tmp_path_factory.mktemp("printed")
     for name, v0 in (("a", 2.0), ("b", 2.1)):
         throw = synthetic_throw(
             law_with("front-back", {}),
@@ -36,10 +36,10 @@ def folder(tmp_path_factory, eq12_posterior):
             noise_xy=0.005,
             noise_phi=0.01,
         )
-        (place / f"{name}.csv").write_text(write_table(throw))
-    (place / "saved").mkdir()
-    eq12_posterior[0].save(place / "saved" / "fit.json")
-    return place
+        (root / f"{name}.csv").write_text(write_table(throw))
+    (root / "saved").mkdir()
+    eq12_posterior[0].save(root / "saved" / "fit.json")
+    return root
 
 
 VERBS = {
@@ -138,7 +138,8 @@ def test_a_terminal_gets_no_blanks_either(folder):
     ],
 )
 def test_who_does_not_want_to_read_changes_nothing(folder, words, closed):
-    command, how = [sys.executable, "-m", "curlfit", *words], {}
+    command = [sys.executable, "-m", "curlfit", *words]
+    how = {}
     if closed == "unread":
         unread, how["stdout"] = os.pipe()
         os.close(unread)
@@ -153,8 +154,10 @@ def test_who_does_not_want_to_read_changes_nothing(folder, words, closed):
         **{"stdout": subprocess.DEVNULL, **how},
     )
     failed = "nothing" in words
-    said = "curlfit: nothing: no such file\n" if failed and "2>&-" not in closed else ""
-    assert (run.returncode, run.stderr) == (2 if failed else 0, said)
+    message = (
+        "curlfit: nothing: no such file\n" if failed and "2>&-" not in closed else ""
+    )
+    assert (run.returncode, run.stderr) == (2 if failed else 0, message)
 
 
 def test_a_plain_terminal_is_given_what_it_can_show(folder):

@@ -35,10 +35,11 @@ def require_room(figure):
     """Draw the figure, of which no text may leave it, no two labels of ticks may meet,
     and no label of an axis may lie on those of its ticks."""
     agg(figure)
-    seen, draw = [], Text.draw
+    drawn = []
+    draw = Text.draw
 
     def noted(self, renderer, *args, **kwargs):
-        seen.append(self)
+        drawn.append(self)
         return draw(self, renderer, *args, **kwargs)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -46,7 +47,7 @@ def require_room(figure):
         figure.canvas.draw()
     boxes = {
         text: text.get_window_extent()
-        for text in dict.fromkeys(seen)
+        for text in dict.fromkeys(drawn)
         if text.get_visible() and text.get_text().strip()
     }
     x0, y0, x1, y1 = figure.bbox.extents
@@ -61,10 +62,13 @@ def require_room(figure):
         for axes in figure.axes
         for axis in (axes.xaxis, axes.yaxis)
     }
-    for one, other in combinations(
+    for first_label, second_label in combinations(
         [label for labels in ticks.values() for label in labels], 2
     ):
-        assert not boxes[one].overlaps(boxes[other]), (one, other)
+        assert not boxes[first_label].overlaps(boxes[second_label]), (
+            first_label,
+            second_label,
+        )
     for axis, labels in ticks.items():
         if axis.label in boxes:
             assert not any(boxes[axis.label].overlaps(boxes[label]) for label in labels)
@@ -100,7 +104,7 @@ def test_ticks_of_neighbouring_corner_panels_do_not_meet(
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
-            assert all(low <= place <= high for place in axis.get_majorticklocs())
+            assert all(low <= position <= high for position in axis.get_majorticklocs())
             shown = [
                 label.get_text() for label in axis.get_ticklabels() if label.get_text()
             ]
@@ -138,18 +142,19 @@ def test_ticks_say_what_they_stand_for():
         axes.set_xlim(low, high)
         neat_axis(axes.xaxis, "a", "m/s^2")
         label = axes.get_xlabel()
-        start, power = 0.0, 0
+        start = 0.0
+        power = 0
         if "{" in label:
             power = int(label.split("{")[1].split("}")[0])
         head = label.split("(")[0]
         if "\N{MINUS SIGN}" in head:
             start = float(head.split("\N{MINUS SIGN}")[1])
-        places = axes.get_xticks()
-        assert len(places) >= 2
-        for place, number in zip(places, axes.get_xticklabels(), strict=True):
+        positions = axes.get_xticks()
+        assert len(positions) >= 2
+        for position, number in zip(positions, axes.get_xticklabels(), strict=True):
             value = float(number.get_text().replace("\N{MINUS SIGN}", "-"))
             assert value * 10.0**power + start == pytest.approx(
-                place, rel=1e-12, abs=1e-15
+                position, rel=1e-12, abs=1e-15
             )
         assert "m/s\N{SUPERSCRIPT TWO})" in label
 
@@ -191,7 +196,7 @@ def test_a_corner_has_the_conditions_that_were_estimated(sampled_slope):
     figure = corner_figure(fit, chain)
     assert len(figure.axes) == 15
     below = [axes.get_xlabel() for axes in figure.axes[-5:]]
-    symbols = [f"${item.symbol}$" for item in fit.coefficients.values()]
+    symbols = [f"${coefficient.symbol}$" for coefficient in fit.coefficients.values()]
     for label, symbol in zip(below, [*symbols, "$s_x$ (m/m)"], strict=True):
         assert label.startswith(symbol)
     held = {
@@ -208,9 +213,9 @@ def test_regions_of_a_corner_hold_the_shares_they_say(sampled_slope):
 
     figure = corner_figure(*sampled_slope)
     (lines,) = [
-        one
-        for one in figure.axes[1].collections
-        if isinstance(one, QuadContourSet) and not one.filled
+        collection
+        for collection in figure.axes[1].collections
+        if isinstance(collection, QuadContourSet) and not collection.filled
     ]
     radii = [np.hypot(*path.vertices.T).mean() for path in lines.get_paths()]
     expected = np.sqrt(-2 * np.log(1 - np.array([0.95, 0.68])))
@@ -231,7 +236,8 @@ def test_regions_of_a_corner_hold_the_shares_they_say(sampled_slope):
 def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
     rng = np.random.default_rng(0)
     count = len(eq12_fit.observed["t"])
-    observed, fitted = dict(eq12_fit.observed), dict(eq12_fit.fitted)
+    observed = dict(eq12_fit.observed)
+    fitted = dict(eq12_fit.fitted)
     for name in channels:
         observed[name] = fitted[name] + times * rng.normal(size=count)
     rms = {name: times * (1 + 0.1 * k) for k, name in enumerate(channels)}
@@ -275,9 +281,9 @@ def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
         scale = np.abs(left).max() / np.abs(drawn).max()
         np.testing.assert_allclose(drawn * scale, left, atol=1e-12)
         rms = np.sqrt(np.mean(left**2))
-        said, unit = axes.get_title().split("rms ")[1].split()
+        number, unit = axes.get_title().split("rms ")[1].split()
         size = {"m": 1, "mm": 1e-3, "rad": 1, "mrad": 1e-3}[unit]
-        assert float(said) * size == pytest.approx(rms, rel=0.006)
+        assert float(number) * size == pytest.approx(rms, rel=0.006)
         assert "of both" in axes.get_ylabel()
     for axes, name in ((speed, "speed"), (spin, "omega")):
         drawn = [
@@ -290,12 +296,14 @@ def test_slopes_of_data_are_those_of_the_motion():
     """Of evenly spaced rows a straight line has the slope of a parabola
     at the middle."""
     t = np.linspace(2.0, 12.0, 201)
-    x, phi = 3 * t - 0.1 * t**2, 0.5 * t**2
+    x = 3 * t - 0.1 * t**2
+    phi = 0.5 * t**2
     gap = (t > 5) & (t < 6)
     slopes = measured_slopes(t, np.where(gap, np.nan, x), phi)
-    whole = np.abs(slopes.at - 5.5) > 1  # away from groups on both sides of the gap
-    at = slopes.at[whole]
-    speed, spin = slopes.values[:, whole]
+    # away from groups on both sides of the gap
+    away_from_gap = np.abs(slopes.at - 5.5) > 1
+    at = slopes.at[away_from_gap]
+    speed, spin = slopes.values[:, away_from_gap]
     np.testing.assert_allclose(speed, 3 - 0.2 * at, rtol=1e-9)
     np.testing.assert_allclose(spin, at, rtol=1e-9)
     assert 0.15 < slopes.duration < 0.3
@@ -425,8 +433,12 @@ def a_joint_result(throws, differences):
 
 
 def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
-    found = Variation("mu1_xi", ((0.01, 1e-4), (0.02, 1e-4)), 0.0, 5e-3, 0.015, 5e-3)
-    figure = joint_figure(a_joint_result((replace(eq12_fit, rms={}),) * 2, (found,)))
+    variation = Variation(
+        "mu1_xi", ((0.01, 1e-4), (0.02, 1e-4)), 0.0, 5e-3, 0.015, 5e-3
+    )
+    figure = joint_figure(
+        a_joint_result((replace(eq12_fit, rms={}),) * 2, (variation,))
+    )
     require_room(figure)
     (estimates,) = figure.axes
     assert [container[0].get_xdata()[0] for container in estimates.containers] == [
@@ -442,9 +454,9 @@ def test_a_joint_figure_has_room_for_all(eq12_fit):
         replace(eq12_fit, data=replace(eq12_fit.data, file=f"season/throw-{k:02d}.csv"))
         for k in range(12)
     )
-    each = tuple((0.0417265 + 1e-6 * k, 2e-6) for k in range(12))
+    estimates = tuple((0.0417265 + 1e-6 * k, 2e-6) for k in range(12))
     differences = tuple(
-        Variation(name, each, 0.3, 0.0, 0.04172, 1e-6)
+        Variation(name, estimates, 0.3, 0.0, 0.04172, 1e-6)
         for name in ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
     )
     figure = joint_figure(a_joint_result(throws, differences))

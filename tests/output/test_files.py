@@ -42,8 +42,8 @@ def test_two_fits_do_not_write_one_folder(held, tmp_path):
     folder, holder = held
     words = ("fit", DATA, "--law", "coulomb", "--no-sample", "--no-figures")
     done = command(*words, "--out", folder, cwd=tmp_path)
-    said = f"{folder}: another `curlfit` is writing its results there"
-    assert (done.returncode, said in done.stderr) == (2, True)
+    message = f"{folder}: another `curlfit` is writing its results there"
+    assert (done.returncode, message in done.stderr) == (2, True)
     assert list(folder.iterdir()) == []
     assert command(*words, "--out", tmp_path / "other", cwd=tmp_path).returncode == 0
     holder.kill()  # whatever ends it

@@ -273,13 +273,13 @@ def test_ranges_are_shaded_in_one_row_or_in_all(axes):
     expected = Interval(0.5, 1.5, "blue", 0.25)
     row = Row("first", [RowValue(1.0, ALONE)], expected=expected)
     plot_rows(axes, [row, Row("second")], Interval(0.8, 1.1, "red", 0.4))
-    common, own = [part for part in axes.patches if isinstance(part, Rectangle)]
+    common, of_row = [part for part in axes.patches if isinstance(part, Rectangle)]
     assert (common.get_x(), common.get_width()) == pytest.approx((0.8, 0.3))
     assert common.get_height() == 1  # of the axes
     assert common.get_alpha() == 0.4
-    assert (own.get_x(), own.get_width()) == pytest.approx((0.5, 1.0))
-    assert own.get_y() == pytest.approx(-own.get_height() / 2)
-    assert own.get_alpha() == 0.25
+    assert (of_row.get_x(), of_row.get_width()) == pytest.approx((0.5, 1.0))
+    assert of_row.get_y() == pytest.approx(-of_row.get_height() / 2)
+    assert of_row.get_alpha() == 0.25
 
 
 def test_a_row_joins_its_values_and_has_a_remark(axes):

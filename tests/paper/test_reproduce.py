@@ -63,7 +63,9 @@ def made(tmp_path_factory):
     from curlfit.paper import reproduce as reproduction
 
     folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
-    compute, parts, results = reproduction.reproduce, [], []
+    compute = reproduction.reproduce
+    parts = []
+    results = []
 
     def watched(progress, arrived):
         def tell(part, done, total):
@@ -126,8 +128,8 @@ def numbers(text):
 
 
 def test_eq_13(found):
-    said = numbers(found.claim("eq13").computed)
-    np.testing.assert_allclose(said[0], -0.00028, atol=5e-6)
+    computed = numbers(found.claim("eq13").computed)
+    np.testing.assert_allclose(computed[0], -0.00028, atol=5e-6)
     assert found.claim("eq13").computed.endswith(
         "2.062 m/s, 1.0052 1/s; 25.0 m, 0.841 m, 2.61 turns"
     )
@@ -145,11 +147,12 @@ def test_eq_14(found):
     assert abs(found.path.sign_change - 17.7) < 0.05
     assert found.path.by_hand < 1e-14
     # by second differences of eq. 12, which shares no code with either derivative
-    t, d = found.path.t[1:], 1e-3
-    low, here, high = (jensen_shegelski(t + k * d) for k in (-1, 0, 1))
+    t = found.path.t[1:]
+    d = 1e-3
+    low, middle, high = (jensen_shegelski(t + k * d) for k in (-1, 0, 1))
     for name, series in (("x", found.path.ax), ("y", found.path.ay)):
         second = (
-            getattr(low, name) - 2 * getattr(here, name) + getattr(high, name)
+            getattr(low, name) - 2 * getattr(middle, name) + getattr(high, name)
         ) / d**2
         np.testing.assert_allclose(second, series[1:], atol=3e-8)
 
@@ -171,9 +174,9 @@ def test_prop_5_in_both_frames(found):
 
 
 def test_prop_1(found):
-    cosine, states, laws, one, error = numbers(found.claim("prop1").computed)
+    cosine, states, laws, ratio, error = numbers(found.claim("prop1").computed)
     assert max(cosine, error) < 1e-9
-    assert (laws, one) == (9, 1)
+    assert (laws, ratio) == (9, 1)
     assert states > 5000
 
 
@@ -203,13 +206,15 @@ def test_prop_3_and_its_remark(found):
 
 
 def test_prop_4(found):
-    one, two, three = (found.isotropic.stribeck[name] for name in ("i", "ii", "iii"))
-    assert one.states > 5000
-    assert one.left == 0
-    assert two.slow_left == 0
-    assert 0 < two.left == two.speeds_up
-    assert three.left == three.states > 3000
-    assert three.speeds_up == 0
+    case_i, case_ii, case_iii = (
+        found.isotropic.stribeck[name] for name in ("i", "ii", "iii")
+    )
+    assert case_i.states > 5000
+    assert case_i.left == 0
+    assert case_ii.slow_left == 0
+    assert 0 < case_ii.left == case_ii.speeds_up
+    assert case_iii.left == case_iii.states > 3000
+    assert case_iii.speeds_up == 0
     # the premise: friction that drives the stone makes the third case fail
     assert found.isotropic.negative["iii"].left < found.isotropic.negative["iii"].states
     example = found.isotropic.stribeck_example
@@ -230,8 +235,8 @@ def test_forces_of_the_isotropic_laws(found):
         4: ((1, 40, 100), (6.8e-6, 7.3e-6, -8.5e-5), None),
         5: ((1, 40, 100), (-2.9e-6, -1.3e-4, -1.6e-4), None),
     }
-    for place, (spins, t_xi, t_eta) in expected.items():
-        _, omega, across, along, _ = found.isotropic.curves[place]
+    for law_index, (spins, t_xi, t_eta) in expected.items():
+        _, omega, across, along, _ = found.isotropic.curves[law_index]
         rows = np.searchsorted(omega, np.array(spins) - 1e-9)
         np.testing.assert_allclose(omega[rows], spins)
         np.testing.assert_allclose(across[rows], t_xi, rtol=0.03)
@@ -243,7 +248,8 @@ def test_forces_of_the_isotropic_laws(found):
 def test_the_function_of_speed_serves_prop_3_alone(found):
     assert SpeedMixture not in curlfit.LAWS.values()
     # Constant, it is Coulomb's law; with a hump it is not.
-    v, omega = np.array([2.0, 2.0]), np.array([10.0, 10.0])
+    v = np.array([2.0, 2.0])
+    omega = np.array([10.0, 10.0])
     values = np.array([[0.01, 0, 0, 0, 0.5], [0.01, 0, 0, 0.02, 0.5]])
     states = ring_states(SpeedMixture, values, v, omega)
     assert abs(states.t_xi[0] - 2.7e-5) < 5e-7
@@ -291,23 +297,21 @@ def test_l1_depends_on_rho_over_r(found):
     """At t = 20 s, where l1 is largest, by second differences of eq. 12."""
 
     def l1(radius, rho, t=20.0, d=1e-3):
-        low, here, high = (np.array(jensen_shegelski(t + k * d)) for k in (-1, 0, 1))
-        (vx, vy, omega), (ax, ay, angular) = (
-            (high - low) / (2 * d),
-            (high - 2 * here + low) / d**2,
-        )
+        low, middle, high = (np.array(jensen_shegelski(t + k * d)) for k in (-1, 0, 1))
+        vx, vy, omega = (high - low) / (2 * d)
+        ax, ay, angular = (high - 2 * middle + low) / d**2
         speed = np.hypot(vx, vy)
         along = (ax * vx + ay * vy) / speed
         return 4 / 9.81 * (rho**2 * angular * speed / (radius**2 * omega) - along)
 
-    said = found.claim("eq24-l1")
-    ratio = numbers(said.computed)[-1]
+    claim = found.claim("eq24-l1")
+    ratio = numbers(claim.computed)[-1]
     assert abs(l1(0.065, 0.1) - found.ring.l[0, -1]) < 1e-6
     assert l1(0.065, 0.065 * (ratio - 0.001)) > 0 > l1(0.065, 0.065 * (ratio + 0.001))
     for radius, rho in ((0.065, 0.1045), (0.0625, 0.1025), (0.054, 0.1)):
-        assert f"{radius} and {rho} m" in said.why
+        assert f"{radius} and {rho} m" in claim.why
         assert l1(radius, rho) < 0
-    assert "at most -0.029" in said.why
+    assert "at most -0.029" in claim.why
 
 
 def test_eq_22(found):
@@ -321,7 +325,8 @@ def test_eq_22(found):
     ):
         n = np.array([np.cos(angle), np.sin(angle)])
         tau = np.array([-n[1], n[0]])
-        a, b = np.sin(angle), 0.3 + np.cos(angle)
+        a = np.sin(angle)
+        b = 0.3 + np.cos(angle)
         force = -(normal * a * n + tangent * b * tau) / np.hypot(a, b)
         np.testing.assert_allclose(
             radial_at(mu, 0.3, np.array([angle]))[:, 0], force, rtol=1e-13
@@ -331,7 +336,9 @@ def test_eq_22(found):
 def test_error_of_a_uniform_load(found):
     """In closed form to first order in eps, with the load 1 + a cos(alpha) +
     b sin(alpha)."""
-    m1, m2, along = 0.0018, 0.058, 0.018
+    m1 = 0.0018
+    m2 = 0.058
+    along = 0.018
     errors = []
     for radius in (0.054, 0.065):
         lever = 2 * 0.057 / radius
@@ -341,9 +348,9 @@ def test_error_of_a_uniform_load(found):
         moment = 1 + 8 * b / (3 * np.pi) * (m1 - m2) / (m1 + m2) + a * along / (m1 + m2)
         errors += [abs(100 / across - 100), abs(100 / moment - 100)]
     across, none, moment, *_ = found.claim("load").computed.split(" % in ")
-    assert numbers(across) == [round(one, 1) for one in sorted(errors[::2])]
+    assert numbers(across) == [round(error, 1) for error in sorted(errors[::2])]
     assert numbers(none)[-1] == 0
-    assert numbers(moment)[-2:] == [round(one, 1) for one in sorted(errors[1::2])]
+    assert numbers(moment)[-2:] == [round(error, 1) for error in sorted(errors[1::2])]
 
 
 def test_a_line_that_meets_zero_must_also_rise(found):
@@ -469,15 +476,15 @@ def test_ratio_and_split(found):
 def test_what_is_written(made):
     _, (folder, shown, as_json, silent) = made
     record = json.loads((folder / "claims.json").read_text())
-    assert [list(item) for item in record] == [KEYS] * len(IDS)
-    assert [item["id"] for item in record] == IDS
-    assert {item["verdict"] for item in record} == {
+    assert [list(claim) for claim in record] == [KEYS] * len(IDS)
+    assert [claim["id"] for claim in record] == IDS
+    assert {claim["verdict"] for claim in record} == {
         "holds",
         "holds with a correction",
         "does not hold",
     }
     assert all(
-        isinstance(value, str) and value for item in record for value in item.values()
+        isinstance(value, str) and value for claim in record for value in claim.values()
     )
     assert json.loads(as_json) == record
     assert silent == ""
@@ -485,9 +492,9 @@ def test_what_is_written(made):
     for name in ("eq14", "isotropic", "prop5", "eq24", "eq28", "split"):
         assert f"({name}.png)" in page
         assert (folder / f"{name}.png").read_bytes().startswith(PNG)
-    for item in record:
-        assert item["why"].replace("|", r"\|") in page
-        assert item["id"] in shown
+    for claim in record:
+        assert claim["why"].replace("|", r"\|") in page
+        assert claim["id"] in shown
     assert max(map(len, shown.splitlines()[:-1])) <= 110
 
 
@@ -507,12 +514,13 @@ def test_the_state_to_try_in_the_notebook_is_that_of_the_remark():
     """It gains speed and loses spin, with friction that opposes sliding on
     the whole ring."""
     notebook = json.loads((DATA.parents[1] / "notebooks" / NOTEBOOK).read_text())
-    said = " ".join("".join(notebook["cells"][-1]["source"]).split())
+    remark = " ".join("".join(notebook["cells"][-1]["source"]).split())
     number = r"([-\d.]+)"
-    found = re.search(
-        f"`mu0 = {number}`, `mu1 = {number}` s/m at {number} m/s and {number} 1/s", said
+    match = re.search(
+        f"`mu0 = {number}`, `mu1 = {number}` s/m at {number} m/s and {number} 1/s",
+        remark,
     )
-    mu0, mu1, v, omega = map(float, found.groups())
+    mu0, mu1, v, omega = map(float, match.groups())
     states = ring_states(
         Stribeck, np.array([[mu0, mu1]]), np.array([v]), np.array([omega])
     )

@@ -52,8 +52,10 @@ def discrepancy_found_once():
     """That of a fit takes most of the time of a prediction, of which one fit
     has many here."""
     with pytest.MonkeyPatch.context() as patch:
-        found = lru_cache(discrepancy_posterior)
-        patch.setattr("curlfit.prediction.simulation.discrepancy_posterior", found)
+        cached_posterior = lru_cache(discrepancy_posterior)
+        patch.setattr(
+            "curlfit.prediction.simulation.discrepancy_posterior", cached_posterior
+        )
         yield
 
 
@@ -85,9 +87,9 @@ def test_the_longest_programs_are_prepared_as_they_will_be_called(
 
 
 def begun(prediction):
-    found = {name: item.value for name, item in prediction.start.items()}
+    values = {name: quantity.value for name, quantity in prediction.start.items()}
     names = ("x0", "y0", "heading", "v0", "phi0", "omega0")
-    return curlfit.InitialState(*(found[name] for name in names))
+    return curlfit.InitialState(*(values[name] for name in names))
 
 
 def path_by_simulation(fit, start, times, values=None):
@@ -128,7 +130,7 @@ def almost_to_rest(fit, prediction, rows=1501):
     what is left is 0.1 mm. In it the heading turns so fast that the integrator may
     go on for ever."""
     t = np.linspace(0, prediction.quantities["time"].value - 0.05, rows)
-    values = [item.value for item in fit.coefficients.values()]
+    values = [coefficient.value for coefficient in fit.coefficients.values()]
     reference = Reference(
         front_back(*values), R=fit.stone.R, rho=fit.stone.rho, nodes=80
     )
@@ -136,28 +138,30 @@ def almost_to_rest(fit, prediction, rows=1501):
 
 
 def test_path_and_lines_are_those_of_an_independent_integration(fit):
-    found = curlfit.predict(
+    prediction = curlfit.predict(
         fit, start={"v0": 2.4, "omega0": 1.5, "heading": 0.01}, draws=100
     )
-    t, (x, y, phi) = almost_to_rest(fit, found)
-    shown = found.series["t"] < t[-1]
+    t, (x, y, phi) = almost_to_rest(fit, prediction)
+    shown = prediction.series["t"] < t[-1]
     for name, values in {"x": x, "y": y, "phi": phi}.items():
         np.testing.assert_allclose(
-            found.series[name][shown],
-            CubicSpline(t, values)(found.series["t"][shown]),
+            prediction.series[name][shown],
+            CubicSpline(t, values)(prediction.series["t"][shown]),
             atol=2e-6,
             rtol=0,
             err_msg=name,
         )
-    value = {name: item.value for name, item in found.quantities.items()}
+    value = {name: quantity.value for name, quantity in prediction.quantities.items()}
     assert value["rest_x"] == pytest.approx(x[-1], abs=2e-4)
     assert value["rest_y"] == pytest.approx(y[-1] - sheet.TEE, abs=2e-4)
     assert value["turns"] == pytest.approx(phi[-1] / (2 * np.pi), abs=1e-3)
     # to the right of the line of delivery
     across = np.array([np.cos(0.01), -np.sin(0.01)])
     assert value["curl"] == pytest.approx(across @ [x[-1], y[-1] - HOG], abs=2e-4)
-    along, sideways = CubicSpline(t, y), CubicSpline(t, x)
-    times, speeds = {}, {}
+    along = CubicSpline(t, y)
+    sideways = CubicSpline(t, x)
+    times = {}
+    speeds = {}
     for line in ("far-hog", "far-tee"):
         level = sheet.LINES[line]
         times[line] = brentq(lambda s, level=level: along(s) - level, 1.0, t[-1])
@@ -171,7 +175,9 @@ def test_path_and_lines_are_those_of_an_independent_integration(fit):
         value["time"] - times["far-hog"], abs=1e-4
     )
     rest = value["time"]
-    speed = path_by_simulation(fit, begun(found), [0.0, rest - 2e-3, rest + 2e-3]).speed
+    speed = path_by_simulation(
+        fit, begun(prediction), [0.0, rest - 2e-3, rest + 2e-3]
+    ).speed
     assert speed[1] > 0 == speed[2]
 
 
@@ -185,10 +191,10 @@ def still():
 
 def test_a_stone_that_does_not_turn_rests_when_mechanics_say(still):
     """After v0/(mu g), v0^2/(2 mu g) away."""
-    found = curlfit.predict(still, start={"v0": 2.2}, draws=100)
+    prediction = curlfit.predict(still, start={"v0": 2.2}, draws=100)
     slowing = (0.006 + still.coefficients["mu2_eta"].value) / 2 * 9.81
-    assert found.quantities["time"].value == pytest.approx(2.2 / slowing, abs=1e-3)
-    far = sheet.TEE + found.quantities["rest_y"].value - HOG
+    assert prediction.quantities["time"].value == pytest.approx(2.2 / slowing, abs=1e-3)
+    far = sheet.TEE + prediction.quantities["rest_y"].value - HOG
     assert far == pytest.approx(2.2**2 / (2 * slowing), abs=1e-6)
 
 
@@ -197,28 +203,28 @@ def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
     mirrored = {
         name: value if name == "v0" else -value for name, value in start.items()
     }
-    one, other = (
+    prediction, mirror_image = (
         curlfit.predict(eq12_fit, start=s, draws=300) for s in (start, mirrored)
     )
-    assert one.misfit.detected
+    assert prediction.misfit.detected
     for column, sign in (("x", -1), ("phi", -1), ("y", 1)):
         np.testing.assert_allclose(
-            other.series[column], sign * one.series[column], atol=1e-9
+            mirror_image.series[column], sign * prediction.series[column], atol=1e-9
         )
     # the deviation is turned by a heading that is seen from the fitted one, which
     # is not quite 0
     for column in ("x_model_sd", "y_model_sd", "phi_model_sd", "x_parameter_sd"):
         np.testing.assert_allclose(
-            other.series[column],
-            one.series[column],
+            mirror_image.series[column],
+            prediction.series[column],
             rtol=0.12,
             atol=1e-6,
             err_msg=column,
         )
-    assert other.quantities["curl"].value == pytest.approx(
-        -one.quantities["curl"].value
+    assert mirror_image.quantities["curl"].value == pytest.approx(
+        -prediction.quantities["curl"].value
     )
-    assert "opposite-turn" in {warning.code for warning in other.warnings}
+    assert "opposite-turn" in {warning.code for warning in mirror_image.warnings}
 
 
 def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
@@ -226,9 +232,9 @@ def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
     assert carried.series["y"][0] == pytest.approx(HOG)
     assert carried.series["x"][0] == 0.0
     n = np.searchsorted(carried.series["t"], 19.95)
-    own = carried.series["y"][:n] - HOG + fit.parameters["y0"].value
+    y_in_data = carried.series["y"][:n] - HOG + fit.parameters["y0"].value
     np.testing.assert_allclose(
-        np.interp(fit.observed["t"][::10], carried.series["t"][:n], own)[:-1],
+        np.interp(fit.observed["t"][::10], carried.series["t"][:n], y_in_data)[:-1],
         fit.fitted["y"][::10][:-1],
         atol=1e-6,
     )
@@ -242,10 +248,14 @@ def test_throws_of_a_stop_watch_lie_on_the_sheet(tmp_path):
         "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\nrest = 0\n"
     )
     watched = curlfit.fit(curlfit.load_throw(tmp_path / "b.txt"))
-    found = curlfit.predict(watched, draws=100)
-    assert found.line == "data"
-    assert found.quantities["hog_to_hog"].value == pytest.approx(13.45, abs=0.3)
-    (finding,) = (one for one in found.warnings if one.code == "discrepancy-by-prior")
+    prediction = curlfit.predict(watched, draws=100)
+    assert prediction.line == "data"
+    assert prediction.quantities["hog_to_hog"].value == pytest.approx(13.45, abs=0.3)
+    (finding,) = (
+        warning
+        for warning in prediction.warnings
+        if warning.code == "discrepancy-by-prior"
+    )
     components = [size["component"] for size in finding.numbers["sizes"]]
     assert components == ["across the path", "along the path", "in the spin"]
 
@@ -254,29 +264,35 @@ def test_throws_of_a_stop_watch_lie_on_the_sheet(tmp_path):
 
 
 def test_a_target_is_met_by_an_independent_integration(fit):
-    place = (-0.8, 1.1)
-    found = curlfit.predict(fit, target=place, start={"omega0": -2.0}, draws=100)
-    x, y, _ = almost_to_rest(fit, found, rows=2)[1][:, -1]
-    assert np.hypot(x - place[0], y - sheet.TEE - place[1]) < 1e-3
-    assert found.start["v0"]["origin"] == found.start["heading"]["origin"] == "found"
+    target = (-0.8, 1.1)
+    prediction = curlfit.predict(fit, target=target, start={"omega0": -2.0}, draws=100)
+    x, y, _ = almost_to_rest(fit, prediction, rows=2)[1][:, -1]
+    assert np.hypot(x - target[0], y - sheet.TEE - target[1]) < 1e-3
+    assert (
+        prediction.start["v0"]["origin"]
+        == prediction.start["heading"]["origin"]
+        == "found"
+    )
 
 
 @pytest.mark.parametrize("heading", [None, 0.03])
 def test_a_takeout_passes_the_tee_at_its_speed(fit, heading):
     start = {} if heading is None else {"heading": heading}
-    found = curlfit.predict(fit, weight="takeout", start=start, draws=100)
-    assert found.quantities["speed_at_tee"].value == pytest.approx(TAKEOUT, abs=2e-4)
+    prediction = curlfit.predict(fit, weight="takeout", start=start, draws=100)
+    assert prediction.quantities["speed_at_tee"].value == pytest.approx(
+        TAKEOUT, abs=2e-4
+    )
     if heading is None:
-        across = np.interp(sheet.TEE, found.series["y"], found.series["x"])
+        across = np.interp(sheet.TEE, prediction.series["y"], prediction.series["x"])
         assert across == pytest.approx(0.0, abs=1e-3)
-    assert found.chances["through the house"] == 1.0
+    assert prediction.chances["through the house"] == 1.0
 
 
 def test_weights_rest_where_they_say(fit):
     for weight, y in (("draw", 0.0), ("guard", GUARD)):
-        found = curlfit.predict(fit, weight=weight, draws=100)
-        assert found.quantities["rest_x"].value == pytest.approx(0.0, abs=1e-6)
-        assert found.quantities["rest_y"].value == pytest.approx(y, abs=1e-6)
+        prediction = curlfit.predict(fit, weight=weight, draws=100)
+        assert prediction.quantities["rest_x"].value == pytest.approx(0.0, abs=1e-6)
+        assert prediction.quantities["rest_y"].value == pytest.approx(y, abs=1e-6)
     aside = curlfit.predict(fit, weight="draw", start={"heading": 0.0}, draws=100)
     assert aside.quantities["rest_y"].value == pytest.approx(0.0, abs=1e-6)
     assert aside.quantities["rest_x"].value == pytest.approx(
@@ -287,17 +303,17 @@ def test_weights_rest_where_they_say(fit):
 
 def test_the_place_follows_the_start_as_said(fit):
     base = curlfit.predict(fit, start={"v0": 2.1}, draws=100)
-    for name, item in base.sensitivity.items():
+    for name, sensitivity in base.sensitivity.items():
         field = {"heading": "heading"}.get(name, name.removesuffix("0"))
         start = begun(base)
-        start = replace(start, **{field: getattr(start, field) + item["by"]})
+        start = replace(start, **{field: getattr(start, field) + sensitivity["by"]})
         moved = path_by_simulation(fit, start, [0.0, 300.0])
         for way, end, zero, key in (
             ("right", moved.x[-1], 0.0, "rest_x"),
             ("along", moved.y[-1], sheet.TEE, "rest_y"),
         ):
             change = end - zero - base.quantities[key].value
-            assert change == pytest.approx(item[way], abs=1e-4), (name, way)
+            assert change == pytest.approx(sensitivity[way], abs=1e-4), (name, way)
 
 
 # --- errors of the parameters ---------------------------------------------------------
@@ -305,34 +321,39 @@ def test_the_place_follows_the_start_as_said(fit):
 
 def test_bands_are_those_of_brute_force(fit):
     """Coefficients by numpy from the fit's covariance, each with its own path."""
-    found = curlfit.predict(
+    prediction = curlfit.predict(
         fit, start={"v0": 2.3, "omega0": 1.2, "heading": 0.0}, draws=1000
     )
-    names, k = list(fit.coefficients), 200
-    place = [fit.covariance.names.index(name) for name in names]
-    matrix = fit.covariance.matrix[np.ix_(place, place)]
+    names = list(fit.coefficients)
+    k = 200
+    indices = [fit.covariance.names.index(name) for name in names]
+    matrix = fit.covariance.matrix[np.ix_(indices, indices)]
     random = np.random.default_rng(5)
     t = 25.0  # some two seconds before rest
-    there = []
+    positions = []
     for values in random.multivariate_normal(
         [fit.coefficients[n].value for n in names], matrix, k
     ):
-        path = path_by_simulation(fit, begun(found), [0.0, t], values)
-        there.append([path.x[-1], path.y[-1], path.phi[-1]])
-    row = int(np.argmin(np.abs(found.series["t"] - t)))
-    for name, size in zip(("x", "y", "phi"), np.std(there, axis=0), strict=True):
-        sd = found.series[f"{name}_parameter_sd"][row]
+        path = path_by_simulation(fit, begun(prediction), [0.0, t], values)
+        positions.append([path.x[-1], path.y[-1], path.phi[-1]])
+    row = int(np.argmin(np.abs(prediction.series["t"] - t)))
+    for name, size in zip(("x", "y", "phi"), np.std(positions, axis=0), strict=True):
+        sd = prediction.series[f"{name}_parameter_sd"][row]
         assert sd == pytest.approx(size, rel=4 / np.sqrt(2 * k)), name
 
 
 @pytest.mark.slow
 def test_chain_and_covariance_say_the_same(eq12_posterior):
     fit, chain = eq12_posterior
-    one, other = curlfit.predict(fit, chain), curlfit.predict(fit)
-    assert (one.draws["source"], other.draws["source"]) == ("chain", "covariance")
-    for name, item in one.quantities.items():
-        assert other.quantities[name].parameter_sd == pytest.approx(
-            item.parameter_sd, rel=0.1
+    by_chain = curlfit.predict(fit, chain)
+    by_covariance = curlfit.predict(fit)
+    assert (by_chain.draws["source"], by_covariance.draws["source"]) == (
+        "chain",
+        "covariance",
+    )
+    for name, quantity in by_chain.quantities.items():
+        assert by_covariance.quantities[name].parameter_sd == pytest.approx(
+            quantity.parameter_sd, rel=0.1
         )
     with pytest.raises(InputError, match="of another fit"):
         curlfit.predict(fit, replace(chain, names=chain.names[::-1]))
@@ -372,7 +393,9 @@ def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
     again = curlfit.predict(straight, draws=200)
     assert again.quantities["curl"].parameter_sd < 0.01
     turning = curlfit.predict(straight, start={"omega0": 1.2}, draws=200)
-    (finding,) = (one for one in turning.warnings if one.code == "null-moves-rest")
+    (finding,) = (
+        warning for warning in turning.warnings if warning.code == "null-moves-rest"
+    )
     assert finding.numbers["moved"] > 0.1
     assert "mu2_xi is not determined, which affects this throw" in str(finding)
     assert turning.quantities["curl"].parameter_sd > 0.1
@@ -429,9 +452,9 @@ def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
 
 @pytest.fixture(scope="module")
 def game_fit():
-    found = curlfit.fit(game_throw()[0], stone=STONE, details=False)
-    assert found.parameters["mu1_xi"].verdict == "at bound"
-    return found
+    result = curlfit.fit(game_throw()[0], stone=STONE, details=False)
+    assert result.parameters["mu1_xi"].verdict == "at bound"
+    return result
 
 
 def path_of(fit, values=None):
@@ -446,9 +469,13 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
     law = simulate_ensemble(
         still.model, still.values[None], still.stone, LEVEL_AND_STILL, t
     )
-    across, along, turning = -0.01, 0.02, 0.005
-    one = np.tile(np.array([across, along, turning])[:, None], (1, 1, len(t) - 1))
-    found = law.with_accelerations(one)
+    across = -0.01
+    along = 0.02
+    turning = 0.005
+    acceleration = np.tile(
+        np.array([across, along, turning])[:, None], (1, 1, len(t) - 1)
+    )
+    path = law.with_accelerations(acceleration)
     names = ("heading", "v0", "x0", "y0", "phi0")
     heading, v0, x0, y0, phi0 = (still.parameters[name].value for name in names)
     slowing = (0.006 + still.coefficients["mu2_eta"].value) / 2 * 9.81 - along
@@ -458,16 +485,19 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
         v = v0 - slowing * t
         return [v * np.sin(state[2]), v * np.cos(state[2]), across / v]
 
-    there = solve_ivp(
+    by_scipy = solve_ivp(
         rates, (0, 0.999 * rest), [x0, y0, heading], dense_output=True, rtol=1e-9
     )
     shown = t < 0.98 * rest
-    expected, place = there.sol(t[shown]), found.positions_at(t[shown])[0]
-    np.testing.assert_allclose(place[0], expected[0], atol=2e-4)
-    np.testing.assert_allclose(place[1], expected[1], atol=2e-4)
-    np.testing.assert_allclose(place[2], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6)
-    assert found.time_of_rest[0] == pytest.approx(rest, abs=1e-6)
-    nothing = law.with_accelerations(0.0 * one)
+    expected = by_scipy.sol(t[shown])
+    position = path.positions_at(t[shown])[0]
+    np.testing.assert_allclose(position[0], expected[0], atol=2e-4)
+    np.testing.assert_allclose(position[1], expected[1], atol=2e-4)
+    np.testing.assert_allclose(
+        position[2], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6
+    )
+    assert path.time_of_rest[0] == pytest.approx(rest, abs=1e-6)
+    nothing = law.with_accelerations(0.0 * acceleration)
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 
 
@@ -475,8 +505,8 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
     """They are those of least squares by definition; the start follows
     the acceleration."""
-    found = discrepancy_posterior(fit)
-    missing = found.draw(2, np.random.default_rng(2))
+    posterior = discrepancy_posterior(fit)
+    missing = posterior.draw(2, np.random.default_rng(2))
     missing = missing._replace(
         acceleration=0.2 * missing.acceleration, change=0.2 * missing.change
     )
@@ -489,27 +519,27 @@ def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(f
         again = curlfit.fit(
             curlfit.Throw.from_arrays(t, *values, sigma=sigma), stone=STONE
         )
-        for name, item in fit.parameters.items():
-            if item.verdict == "determined":
-                off = again.parameters[name].value - item.value
-                assert abs(off) < 0.15 * item.stderr, name
+        for name, estimate in fit.parameters.items():
+            if estimate.verdict == "determined":
+                off = again.parameters[name].value - estimate.value
+                assert abs(off) < 0.15 * estimate.stderr, name
 
 
 def test_bands_of_a_law_at_its_bound_are_as_wide_as_its_errors():
     """Of a record that ends long before rest."""
     throw, rest = game_throw(seed=4, until=9.0)
     fit = curlfit.fit(throw, stone=STONE, details=False)
-    found = curlfit.predict(fit, line="data", draws=400)
+    prediction = curlfit.predict(fit, line="data", draws=400)
     for name, true in (("rest_x", rest[0]), ("rest_y", rest[1] - sheet.TEE)):
-        item = found.quantities[name]
-        half = (item.quantiles["84"] - item.quantiles["16"]) / 2
-        assert item.quantiles["2.5"] < true < item.quantiles["97.5"]
+        quantity = prediction.quantities[name]
+        half = (quantity.quantiles["84"] - quantity.quantiles["16"]) / 2
+        assert quantity.quantiles["2.5"] < true < quantity.quantiles["97.5"]
         assert half < 2.0  # m; it was 47 m across
 
 
 def test_a_missing_force_is_less_than_the_friction(game_fit):
-    found = discrepancy_posterior(game_fit)
-    discrepancy = found.summary
+    posterior = discrepancy_posterior(game_fit)
+    discrepancy = posterior.summary
     speed = game_fit.fitted["speed"]
     friction = (speed[0] - speed[-1]) / np.ptp(game_fit.observed["t"])
     assert discrepancy.friction == pytest.approx(friction / 9.81, rel=0.01)
@@ -517,7 +547,8 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
         np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1)
     )
     moment = friction * STONE.R / STONE.rho**2 * slipping
-    t, path = game_fit.observed["t"], [game_fit.fitted[name] for name in ("x", "y")]
+    t = game_fit.observed["t"]
+    path = [game_fit.fitted[name] for name in ("x", "y")]
     turning = np.gradient(np.unwrap(np.arctan2(*CubicSpline(t, path, axis=1)(t, 1))), t)
     bend = np.sqrt(np.mean((speed * turning)[speed > 0.05] ** 2))
     expected = {
@@ -530,13 +561,13 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
         "along": friction,
         "turning": friction * STONE.R / STONE.rho**2,
     }
-    made = found.draw(2000, np.random.default_rng(1)).acceleration
-    seen = np.flatnonzero(speed.min() <= SPEEDS)
-    for place, way in enumerate(COMPONENTS):
+    accelerations = posterior.draw(2000, np.random.default_rng(1)).acceleration
+    observed_speeds = np.flatnonzero(speed.min() <= SPEEDS)
+    for index, way in enumerate(COMPONENTS):
         assert discrepancy.ceilings[way] == pytest.approx(expected[way], rel=0.01)
         assert discrepancy.sizes[way] <= discrepancy.ceilings[way]
-        size = made[:, place].std(0)
-        assert (size[seen] < 1.5 * discrepancy.ceilings[way]).all()
+        size = accelerations[:, index].std(0)
+        assert (size[observed_speeds] < 1.5 * discrepancy.ceilings[way]).all()
         assert (size < 1.5 * largest[way]).all()
 
 
@@ -544,7 +575,7 @@ def test_what_cannot_be_seen_has_the_size_of_the_prior():
     """An exponential one, 5 % above the friction, cut off there; turning shows in
     no row here."""
     throw = thrown()
-    found = discrepancy_posterior(
+    summary = discrepancy_posterior(
         curlfit.fit(
             curlfit.Throw.from_arrays(throw.t, throw.x, throw.y),
             stone=STONE,
@@ -554,18 +585,18 @@ def test_what_cannot_be_seen_has_the_size_of_the_prior():
     rate = np.log(20)
     moments = [quad(lambda s, k=k: s**k * np.exp(-rate * s), 0, 1)[0] for k in (0, 2)]
     size = np.sqrt(moments[1] / moments[0])
-    assert found.sizes["turning"] / found.ceilings["turning"] == pytest.approx(
+    assert summary.sizes["turning"] / summary.ceilings["turning"] == pytest.approx(
         size, rel=0.05
     )
-    assert found.excess["turning"] == pytest.approx(0.0, abs=0.1)
+    assert summary.excess["turning"] == pytest.approx(0.0, abs=0.1)
 
 
 # --- held-out rows --------------------------------------------------------------------
 
 
 def test_held_out_rows_of_the_right_law(fit):
-    found = curlfit.held_out(thrown(), until=12.0, draws=200, stone=STONE)
-    check = found.check
+    prediction = curlfit.held_out(thrown(), until=12.0, draws=200, stone=STONE)
+    check = prediction.check
     assert (check.first, check.last) == (pytest.approx(12.1), pytest.approx(20.0))
     for name in ("x", "y", "phi"):
         channel = check.channels[name]
@@ -575,15 +606,21 @@ def test_held_out_rows_of_the_right_law(fit):
 
 
 def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
-    found = curlfit.held_out(eq12, until=12.0, draws=200)
-    (finding,) = (one for one in found.warnings if one.code == "missing-acceleration")
+    prediction = curlfit.held_out(eq12, until=12.0, draws=200)
+    (finding,) = (
+        warning
+        for warning in prediction.warnings
+        if warning.code == "missing-acceleration"
+    )
     shown = {size["component"]: size["size"] for size in finding.numbers["sizes"]}
-    assert shown["along the path"] == found.misfit.sizes["along"]
-    assert found.misfit.excess["along"] > DETECTION
+    assert shown["along the path"] == prediction.misfit.sizes["along"]
+    assert prediction.misfit.excess["along"] > DETECTION
     for name in ("y", "phi"):
-        channel = found.check.channels[name]
-        own = np.interp(20.0, found.series["t"], found.series[f"{name}_parameter_sd"])
-        assert abs(channel["end"]) > 10 * own
+        channel = prediction.check.channels[name]
+        parameter_sd = np.interp(
+            20.0, prediction.series["t"], prediction.series[f"{name}_parameter_sd"]
+        )
+        assert abs(channel["end"]) > 10 * parameter_sd
         assert abs(channel["end"]) < 3 * channel["end_sd"]
 
 
@@ -622,7 +659,10 @@ def test_what_python_alone_can_ask_is_refused(fit, asked, said):
 def test_a_fit_that_is_not_usable_foretells_nothing(fit):
     with pytest.raises(UnusableFitError, match="nothing can be predicted"):
         curlfit.predict(replace(fit, converged=False, status="not converged"))
-    frozen = {name: replace(item, value=0.0) for name, item in fit.coefficients.items()}
+    frozen = {
+        name: replace(coefficient, value=0.0)
+        for name, coefficient in fit.coefficients.items()
+    }
     with pytest.raises(UnusableFitError, match="does not bring this stone to rest"):
         curlfit.predict(replace(fit, parameters=fit.parameters | frozen))
 
@@ -656,38 +696,42 @@ def test_extrapolation_is_said(fit):
 
 
 def test_the_figure_shows_the_intervals_of_the_table(game_fit):
-    found = curlfit.predict(game_fit, line="data", draws=200)
-    assert len(found.measured["t"]) == len(game_fit.observed["t"])
-    house = prediction_figure(found).axes[1]
-    ellipses = [one for one in house.patches if type(one) is Ellipse][:2]
-    for one, (low, high) in zip(ellipses, (("2.5", "97.5"), ("16", "84")), strict=True):
-        angle, half = np.radians(one.angle), np.array([one.width, one.height]) / 2
+    prediction = curlfit.predict(game_fit, line="data", draws=200)
+    assert len(prediction.measured["t"]) == len(game_fit.observed["t"])
+    house = prediction_figure(prediction).axes[1]
+    ellipses = [patch for patch in house.patches if type(patch) is Ellipse][:2]
+    for ellipse, (low, high) in zip(
+        ellipses, (("2.5", "97.5"), ("16", "84")), strict=True
+    ):
+        angle = np.radians(ellipse.angle)
+        half = np.array([ellipse.width, ellipse.height]) / 2
         shadow = [
             np.hypot(half[0] * np.cos(angle), half[1] * np.sin(angle)),
             np.hypot(half[0] * np.sin(angle), half[1] * np.cos(angle)),
         ]
         for middle, size, name in zip(
-            one.center, shadow, ("rest_x", "rest_y"), strict=True
+            ellipse.center, shadow, ("rest_x", "rest_y"), strict=True
         ):
-            shown = found.quantities[name].quantiles
+            shown = prediction.quantities[name].quantiles
             assert middle - size == pytest.approx(shown[low], abs=1e-9)
             assert middle + size == pytest.approx(shown[high], abs=1e-9)
 
 
 def test_a_new_throw_has_the_rows_of_the_fitted_one_beside_it(fit):
     start = {"v0": 2.3, "heading": 0.02, "x0": 0.4}
-    found = curlfit.predict(fit, start=start, draws=100)
+    prediction = curlfit.predict(fit, start=start, draws=100)
     first = {name: fit.parameters[name].value for name in ("x0", "y0", "heading")}
-    x, y = fit.observed["x"] - first["x0"], fit.observed["y"] - first["y0"]
+    x = fit.observed["x"] - first["x0"]
+    y = fit.observed["y"] - first["y0"]
     # distances from the start stay, and directions seen from it are turned
     # by the heading
     bearing = np.arctan2(x, y) + start["heading"] - first["heading"]
-    place = (
+    position = (
         0.4 + np.hypot(x, y) * np.sin(bearing),
         HOG + np.hypot(x, y) * np.cos(bearing),
     )
     np.testing.assert_allclose(
-        (found.measured["x"], found.measured["y"]), place, atol=1e-12
+        (prediction.measured["x"], prediction.measured["y"]), position, atol=1e-12
     )
 
 
@@ -718,8 +762,8 @@ def test_a_record_comes_back(carried, tmp_path):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A throw and the fit of its first 12 s."""
-    place = tmp_path_factory.mktemp("predict")
-    made = curlfit_(
+    directory = tmp_path_factory.mktemp("predict")
+    simulation = curlfit_(
         "simulate",
         "--v0",
         2.2,
@@ -731,14 +775,21 @@ def folder(tmp_path_factory):
         0.01,
         "--out",
         "a.csv",
-        cwd=place,
+        cwd=directory,
     )
-    assert made.returncode == 0, made.stderr
+    assert simulation.returncode == 0, simulation.stderr
     run = curlfit_(
-        "fit", "a.csv", "--until", 12, "--no-sample", "--no-figures", "-q", cwd=place
+        "fit",
+        "a.csv",
+        "--until",
+        12,
+        "--no-sample",
+        "--no-figures",
+        "-q",
+        cwd=directory,
     )
     assert run.returncode == 0, run.stderr
-    return place
+    return directory
 
 
 def test_the_command(folder):
@@ -791,9 +842,9 @@ def test_the_command_compares_with_measured_rows(folder, monkeypatch):
     quiet = invoke([*words, "-q", "--no-figures"])
     assert (quiet.exit_code, quiet.stdout) == (0, ""), quiet.exception
     assert not (folder / "c" / "predict.png").exists()  # it was of an earlier result
-    said = invoke(["show", "c"]).stdout
-    assert "within 68 %" in said
-    assert "from t = 12.1 to 20 s" in " ".join(said.split())
+    text = invoke(["show", "c"]).stdout
+    assert "within 68 %" in text
+    assert "from t = 12.1 to 20 s" in " ".join(text.split())
     assert set(curlfit.load_prediction(folder / "c").check.channels) == {
         "x",
         "y",
@@ -804,9 +855,12 @@ def test_the_command_compares_with_measured_rows(folder, monkeypatch):
 @pytest.mark.slow
 def test_a_discrepancy_that_the_fit_has_as_noise_is_in_the_bands(fit):
     white = curlfit.predict(fit, draws=200)
-    other = curlfit.predict(curlfit.fit(thrown(), noise="discrepancy"), draws=200)
+    with_discrepancy = curlfit.predict(
+        curlfit.fit(thrown(), noise="discrepancy"), draws=200
+    )
     for name in ("rest_x", "rest_y"):
-        own, beside = other.quantities[name], white.quantities[name]
-        assert own.value == pytest.approx(beside.value, abs=1e-4)
-        assert own.model_sd == pytest.approx(beside.model_sd, rel=1e-6)
-    assert "law-without-discrepancy" in {note.code for note in other.notes}
+        quantity = with_discrepancy.quantities[name]
+        expected = white.quantities[name]
+        assert quantity.value == pytest.approx(expected.value, abs=1e-4)
+        assert quantity.model_sd == pytest.approx(expected.model_sd, rel=1e-6)
+    assert "law-without-discrepancy" in {note.code for note in with_discrepancy.notes}

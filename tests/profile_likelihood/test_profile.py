@@ -74,7 +74,8 @@ def printed(profile):
 def scipy_minimum(fit, held):
     """Least chi squared with some parameters held, by scipy on the residuals
     of the model."""
-    throw, parameters = fit.throw, fit.parameter_set
+    throw = fit.throw
+    parameters = fit.parameter_set
     problem = build_problem(throw, fit.stone, fit.sigma, LOSSES[fit.loss])
     values = fit.values.copy()
     for name, value in held.items():
@@ -84,12 +85,12 @@ def scipy_minimum(fit, held):
     high = parameters.upper[free]
 
     def residual(some):
-        whole = values.copy()
-        whole[free] = some
-        one = whole[None], stacked([problem])
-        return whitened_residuals_of_many(fit.model, *one, batch=1).ravel()
+        trial = values.copy()
+        trial[free] = some
+        arguments = trial[None], stacked([problem])
+        return whitened_residuals_of_many(fit.model, *arguments, batch=1).ravel()
 
-    found = least_squares(
+    optimum = least_squares(
         residual,
         values[free],
         bounds=(low, high),
@@ -99,7 +100,7 @@ def scipy_minimum(fit, held):
         ftol=1e-12,
         gtol=1e-12,
     )
-    return 2 * found.cost
+    return 2 * optimum.cost
 
 
 # --- numbers --------------------------------------------------------------------------
@@ -107,10 +108,10 @@ def scipy_minimum(fit, held):
 
 def test_the_profile_is_what_scipy_finds_with_the_parameter_held(fit, sharp):
     assert sharp.chi_squared == pytest.approx(scipy_minimum(fit, {}), abs=1e-6)
-    for place in (3, 35):
-        least = scipy_minimum(fit, {"mu1_xi": float(sharp.at[place])})
-        assert sharp.delta[place] == pytest.approx(least - sharp.chi_squared, abs=2e-5)
-        assert sharp.delta[place] > 0.3
+    for point in (3, 35):
+        least = scipy_minimum(fit, {"mu1_xi": float(sharp.at[point])})
+        assert sharp.delta[point] == pytest.approx(least - sharp.chi_squared, abs=2e-5)
+        assert sharp.delta[point] > 0.3
 
 
 def test_of_two_parameters_too(fit, tmp_path):
@@ -131,8 +132,9 @@ def test_of_two_parameters_too(fit, tmp_path):
     assert pair.ellipse < 0.2
     assert pair.across < fit.parameters["v0"].stderr  # less than with the first free
     # a region of two spans sqrt(2.30) of what an interval of one does
-    one, two = pair.each[1].intervals[0], pair.extent["68 %"][1]
-    assert (two.high - two.low) / (one.high - one.low) == pytest.approx(
+    interval = pair.each[1].intervals[0]
+    region = pair.extent["68 %"][1]
+    assert (region.high - region.low) / (interval.high - interval.low) == pytest.approx(
         np.sqrt(2.30), rel=0.01
     )
 
@@ -147,46 +149,47 @@ def blind():
 
 
 def test_limits_far_from_those_of_the_covariance_are_right(blind):
-    found = curlfit.profile(blind, "omega0", points=5)
-    least = scipy_minimum(blind, {"omega0": float(found.at[-2])})
-    assert found.delta[-2] == pytest.approx(least - found.chi_squared, abs=0.01)
-    assert found.delta[-2] > 3
-    assert max(found.departure.values()) > 0.5
-    assert "Use the profile" in printed(found)
+    profile = curlfit.profile(blind, "omega0", points=5)
+    least = scipy_minimum(blind, {"omega0": float(profile.at[-2])})
+    assert profile.delta[-2] == pytest.approx(least - profile.chi_squared, abs=0.01)
+    assert profile.delta[-2] > 3
+    assert max(profile.departure.values()) > 0.5
+    assert "Use the profile" in printed(profile)
 
 
 def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     """With the rest fixed, chi squared is sum (x - x0)^2/sigma^2: a mean of n rows."""
     fixed = {
-        name: item.value
-        for name, item in fit.parameters.items()
+        name: estimate.value
+        for name, estimate in fit.parameters.items()
         if name not in ("x0", "y0")
     }
     alone = curlfit.fit(thrown(), fix=fixed)
-    found = curlfit.profile(alone, "x0")
+    profile = curlfit.profile(alone, "x0")
     sd = NOISE["x"] / np.sqrt(len(alone.throw))
     np.testing.assert_allclose(
-        found.delta, ((found.at - found.best) / sd) ** 2, atol=1e-7
+        profile.delta, ((profile.at - profile.best) / sd) ** 2, atol=1e-7
     )
     np.testing.assert_allclose(
-        (found.at[0], found.at[-1]), found.best + sd * np.array([-4, 4])
+        (profile.at[0], profile.at[-1]), profile.best + sd * np.array([-4, 4])
     )
-    for interval, rise in zip(found.intervals, (1.0, chi2.ppf(0.95, 1)), strict=True):
+    for interval, rise in zip(profile.intervals, (1.0, chi2.ppf(0.95, 1)), strict=True):
         assert interval.high == pytest.approx(
-            found.best + np.sqrt(rise) * sd, abs=1e-4 * sd
+            profile.best + np.sqrt(rise) * sd, abs=1e-4 * sd
         )
         assert interval.low == pytest.approx(
-            found.best - np.sqrt(rise) * sd, abs=1e-4 * sd
+            profile.best - np.sqrt(rise) * sd, abs=1e-4 * sd
         )
         assert (interval.low_by, interval.high_by) == ("data", "data")
-    assert found.others.keys() == {"y0"}
+    assert profile.others.keys() == {"y0"}
     np.testing.assert_allclose(
-        found.others["y0"], alone.parameters["y0"].value, atol=1e-9
+        profile.others["y0"], alone.parameters["y0"].value, atol=1e-9
     )
 
 
 def test_limits_are_where_chi_squared_is_higher_by_the_threshold(fit, sharp):
-    low, high = sharp.intervals[1].low, sharp.intervals[1].high
+    low = sharp.intervals[1].low
+    high = sharp.intervals[1].high
     again = curlfit.profile(fit, "mu1_xi", ranges={"mu1_xi": (low, high)}, points=5)
     np.testing.assert_allclose(again.delta[[0, -1]], chi2.ppf(0.95, 1), atol=1e-4)
     assert again.at[[0, -1]] == pytest.approx([low, high])
@@ -204,8 +207,8 @@ def test_the_split_is_exactly_flat_under_uniform_load(flat, eq12_fit):
     assert inside.sum() > 35
     assert np.abs(flat.delta[inside]).max() < 1e-8
     # where the other is, is no matter of the solver's taste
-    both = flat.at + flat.others["mu2_eta"]
-    np.testing.assert_allclose(both[inside], total.value, atol=1e-10)
+    sums = flat.at + flat.others["mu2_eta"]
+    np.testing.assert_allclose(sums[inside], total.value, atol=1e-10)
     assert flat.free[0] == 0
     assert flat.free[1] == pytest.approx(total.value, rel=1e-3)
     assert flat.stops == ((), ("mu2_eta",))
@@ -259,24 +262,26 @@ def test_a_pair_with_a_valley_follows_it(eq12_fit):
 
 
 def test_a_range_that_is_too_narrow_says_so(fit):
-    value, stderr = fit.parameters["v0"].value, fit.parameters["v0"].stderr
+    value = fit.parameters["v0"].value
+    stderr = fit.parameters["v0"].stderr
     ends = {"v0": (value - stderr, value + stderr)}
-    found = curlfit.profile(fit, "v0", ranges=ends, points=5)
-    assert found.verdict == "narrow"
-    assert found.rise == pytest.approx(1, rel=0.05)
-    assert "The range is too narrow" in printed(found)
+    profile = curlfit.profile(fit, "v0", ranges=ends, points=5)
+    assert profile.verdict == "narrow"
+    assert profile.rise == pytest.approx(1, rel=0.05)
+    assert "The range is too narrow" in printed(profile)
 
 
 def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit, sharp):
     """A fit that stopped short of its optimum."""
-    item = fit.parameters["v0"]
+    v0 = fit.parameters["v0"]
     short = {
-        name: replace(one, value=one.value) for name, one in fit.parameters.items()
+        name: replace(estimate, value=estimate.value)
+        for name, estimate in fit.parameters.items()
     }
-    short["v0"] = replace(item, value=item.value + 2 * item.stderr)
-    found = curlfit.profile(replace(fit, parameters=short), "mu1_xi", points=9)
-    assert found.chi_squared == pytest.approx(sharp.chi_squared, abs=1e-5)
-    assert np.nanmin(found.delta) > -1e-6
+    short["v0"] = replace(v0, value=v0.value + 2 * v0.stderr)
+    profile = curlfit.profile(replace(fit, parameters=short), "mu1_xi", points=9)
+    assert profile.chi_squared == pytest.approx(sharp.chi_squared, abs=1e-5)
+    assert np.nanmin(profile.delta) > -1e-6
 
 
 def test_what_the_fits_of_a_profile_met_is_said(fit, sharp):
@@ -288,9 +293,10 @@ def test_what_the_fits_of_a_profile_met_is_said(fit, sharp):
     better, unfinished, failed, second = warnings
     (remedy,) = better.remedies
     assert remedy.option.name == "start"
-    start = dict(item.split("=") for item in remedy.option.value.split(","))
+    start = dict(setting.split("=") for setting in remedy.option.value.split(","))
     assert {name: float(value) for name, value in start.items()} == pytest.approx(
-        {name: item.value for name, item in fit.coefficients.items()}, rel=1e-4
+        {name: coefficient.value for name, coefficient in fit.coefficients.items()},
+        rel=1e-4,
     )
     assert str(better) == (
         "a better fit was found, its chi squared 5 lower, and the profile is relative "
@@ -321,16 +327,16 @@ def test_what_thresholds_and_chi_squared_mean_is_noted(sharp):
 
 def test_the_posterior_lies_on_the_profile(fit):
     sampled, chain = sample(fit, effective=1000)
-    found = curlfit.profile(sampled, "mu1_xi", chain=chain)
-    beside = found.posterior
-    expected = np.interp(beside["at"], found.at, found.delta)
+    profile = curlfit.profile(sampled, "mu1_xi", chain=chain)
+    beside = profile.posterior
+    expected = np.interp(beside["at"], profile.at, profile.delta)
     low = expected < 4
     assert low.sum() > 6
     pull = ((beside["height"] - expected) / beside["error"])[low]
     assert np.abs(pull).max() < 5
     assert np.mean(pull**2) < 3
-    assert found.quantiles == sampled.posterior.quantiles["mu1_xi"]
-    assert "posterior" in printed(found)
+    assert profile.quantiles == sampled.posterior.quantiles["mu1_xi"]
+    assert "posterior" in printed(profile)
     with pytest.raises(InputError, match="the chain is of another fit"):
         curlfit.profile(sampled, "mu1_xi", chain=replace(chain, names=("mu", "x0")))
 
@@ -373,14 +379,14 @@ def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch
     (tmp_path / "throw-fit").mkdir()
     fit.save(tmp_path / "throw-fit" / "fit.json")
     words = ["profile", "throw-fit", "--param", "mu1_xi", "--points", "9"]
-    found = invoke(words)
-    assert found.exit_code == 0, found.exception
+    run = invoke(words)
+    assert run.exit_code == 0, run.exception
     folder = tmp_path / "throw-profile-mu1_xi"
     assert {file.name for file in folder.iterdir()} == {"profile.json", "profile.png"}
-    said = found.stdout.rpartition("Written:")[0]
-    assert "Profile and covariance agree" in said
+    report = run.stdout.rpartition("Written:")[0]
+    assert "Profile and covariance agree" in report
     shown = invoke(["show", str(folder)])
-    assert shown.stdout == said
+    assert shown.stdout == report
     record = invoke(["show", "--json", str(folder / "profile.json")])
     assert '"verdict": "limited"' in record.stdout
     drawn = invoke(["plot", str(folder), "--format", "svg"])

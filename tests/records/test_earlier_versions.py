@@ -52,7 +52,7 @@ def test_a_chain_of_another_load_is_refused(fit):
 
 def test_a_joint_fit_has_what_it_called_differences_as_its_variation():
     joint = curlfit.load_joint(FILES / "joint")
-    variation = {one.expression: one for one in joint.variation}
+    variation = {quantity.expression: quantity for quantity in joint.variation}
     assert len(variation["mu1_xi"].each) == len(joint.throws) == 2
     assert not variation["mu1_xi"].significant
     assert (joint.differences, joint.groups) == ((), ())
@@ -62,7 +62,10 @@ def test_a_joint_fit_has_what_it_called_differences_as_its_variation():
 
 def test_a_comparison_is_ranked_as_it_was():
     comparison = curlfit.load_comparison(FILES / "compare")
-    assert [one.law for one in comparison.candidates] == ["front-back", "coulomb"]
+    assert [candidate.law for candidate in comparison.candidates] == [
+        "front-back",
+        "coulomb",
+    ]
     assert comparison.best.coefficients["mu2_xi"].value == pytest.approx(0.0555976)
     assert comparison.best.noise_model.kind == "white"
 

@@ -275,18 +275,27 @@ def fitted(
     if not fit.converged:
         return Outcome({}, left="not converged")
     asked: dict[str, tuple[Any, dict[str, float], str]] = {
-        name: (item, {name: 1.0}, item.verdict) for name, item in fit.parameters.items()
+        name: (estimate, {name: 1.0}, estimate.verdict)
+        for name, estimate in fit.parameters.items()
     }
-    for one in fit.combinations:
-        if len(one.weights) > 1:
-            asked[one.expression] = (one, one.weights, "no standard error")
+    for combination in fit.combinations:
+        if len(combination.weights) > 1:
+            asked[combination.expression] = (
+                combination,
+                combination.weights,
+                "no standard error",
+            )
     # What the fitted law has and the true one has not has no true value.
-    asked = {name: item for name, item in asked.items() if set(item[1]) <= set(true)}
-    found = {
+    asked = {
+        name: question
+        for name, question in asked.items()
+        if set(question[1]) <= set(true)
+    }
+    quantities = {
         name: _against(
-            item, sum(weight * true[n] for n, weight in weights.items()), why
+            estimate, sum(weight * true[n] for n, weight in weights.items()), why
         )
-        for name, (item, weights, why) in asked.items()
+        for name, (estimate, weights, why) in asked.items()
     }
     codes = {warning.code for warning in fit.warnings}
     sampler = ""
@@ -301,12 +310,12 @@ def fitted(
             sampler = "" if sampled.posterior.converged else "not converged"
             for name, (_, weights, _) in asked.items():
                 value = sum(weight * true[n] for n, weight in weights.items())
-                found[name] = found[name]._replace(
+                quantities[name] = quantities[name]._replace(
                     **_among(chain.of(weights), value, random)
                 )
     codes = {warning.code for warning in fit.warnings}
     return Outcome(
-        found,
+        quantities,
         sampler=sampler,
         correlated=bool(codes & {"correlated", "noise-not-described"}),
         lasting="long-memory" in codes,
@@ -342,28 +351,28 @@ Answers = list[Answer]
 
 def table(trial: Trial, answers: Answers) -> str:
     """The table of a trial."""
-    made = {"ranks": ranks_table, "noise": noise_table, "small": small_table}[
+    tabulate = {"ranks": ranks_table, "noise": noise_table, "small": small_table}[
         trial.section
     ]
-    return made(trial, answers)
+    return tabulate(trial, answers)
 
 
 def counted(answers: Answers, kind: str = "white", sense: int = 0) -> list[Outcome]:
     """Outcomes that are not left out, of one sense if it is not 0."""
-    found = [a.outcomes[kind] for a in answers if sense in (0, a.sense)]
-    return [outcome for outcome in found if not outcome.left]
+    outcomes = [a.outcomes[kind] for a in answers if sense in (0, a.sense)]
+    return [outcome for outcome in outcomes if not outcome.left]
 
 
 def sentence_of_drawn(answers: Answers) -> str:
     """How many throws were drawn."""
-    senses = Counter(item.sense for item in answers)
+    senses = Counter(of_throw.sense for of_throw in answers)
     drawn = ", ".join(f"{senses[sense]} {name}" for sense, name in SENSES.items())
     return f"{len(answers)} throws drawn ({drawn})."
 
 
 def sentence_of_counted(answers: Answers, kind: str = "white") -> str:
     """How many throws are counted, and why the others are not."""
-    left = reasons(item.outcomes[kind].left for item in answers)
+    left = reasons(of_throw.outcomes[kind].left for of_throw in answers)
     return f"{len(counted(answers, kind))} counted" + (
         f"; left out: {left}." if left else "."
     )
@@ -385,8 +394,12 @@ def items_of(outcomes: list[Outcome], name: str) -> list[Quantity]:
 def coverage(items: Sequence[Quantity], what: str = "held") -> list[str]:
     """Cells that say how often intervals hold the truth, by level."""
     return [
-        share(sum(getattr(item, what)[place] for item in items), len(items), nominal)
-        for place, (nominal, _) in enumerate(LEVELS.values())
+        share(
+            sum(getattr(quantity, what)[level] for quantity in items),
+            len(items),
+            nominal,
+        )
+        for level, (nominal, _) in enumerate(LEVELS.values())
     ]
 
 
@@ -414,7 +427,11 @@ def not_given(outcomes: list[Outcome], names: Sequence[str]) -> list[str]:
 
 def evenness(outcomes: list[Outcome], name: str) -> str:
     """A cell that says how probable ranks as uneven as these are, by chi squared."""
-    ranks = [item.rank for item in items_of(outcomes, name) if item.rank is not None]
+    ranks = [
+        quantity.rank
+        for quantity in items_of(outcomes, name)
+        if quantity.rank is not None
+    ]
     if not ranks:
         return ""
     bins = np.bincount([rank * BINS // (DRAWS + 1) for rank in ranks], minlength=BINS)
@@ -472,9 +489,11 @@ def ranks_table(trial: Trial, answers: Answers) -> str:
     )
     for name in names:
         ranked = items_of(with_ranks(answers), name)
-        given = [item for item in items_of(outcomes, name) if item.held]
+        with_error = [
+            quantity for quantity in items_of(outcomes, name) if quantity.held
+        ]
         evens = [evenness(with_ranks(answers, sense), name) for sense in (0, *SENSES)]
-        errors = [cell or "none given" for cell in coverage(given)]
+        errors = [cell or "none given" for cell in coverage(with_error)]
         lines.append(
             row(
                 [
@@ -482,19 +501,19 @@ def ranks_table(trial: Trial, answers: Answers) -> str:
                     len(ranked),
                     *evens,
                     *coverage(ranked, "posterior"),
-                    len(given),
+                    len(with_error),
                     *errors,
                 ]
             )
         )
     sides = "; ".join(pooled(answers, sense) for sense in SENSES)
-    said = [f"Standard errors of all parameters, 68 % and 95 %: {sides}."]
+    remarks = [f"Standard errors of all parameters, 68 % and 95 %: {sides}."]
     astray = reasons(outcome.sampler for outcome in outcomes)
     if astray:
-        said.append(f"Not in n of ranks, of {len(outcomes)}: sampler {astray}.")
+        remarks.append(f"Not in n of ranks, of {len(outcomes)}: sampler {astray}.")
     load = f" {trial.load.capitalize()} load." if trial.load != "uniform" else ""
-    said += not_given(outcomes, names)
-    return _page([f"{_drawn_and_counted(answers)}{load}"], lines, said)
+    remarks += not_given(outcomes, names)
+    return _page([f"{_drawn_and_counted(answers)}{load}"], lines, remarks)
 
 
 def noise_table(trial: Trial, answers: Answers) -> str:
@@ -506,15 +525,17 @@ def noise_table(trial: Trial, answers: Answers) -> str:
     )
     for name in names:
         cells = []
-        for found in outcomes.values():
-            items = [item for item in items_of(found, name) if item.held]
-            pulls = [item.pull for item in items]
+        for of_kind in outcomes.values():
+            quantities = [
+                quantity for quantity in items_of(of_kind, name) if quantity.held
+            ]
+            pulls = [quantity.pull for quantity in quantities]
             pull = (
                 f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}"
                 if len(pulls) > 1
                 else ""
             )
-            cells += [*coverage(items), pull]
+            cells += [*coverage(quantities), pull]
         if any(cells):  # else no fit gives a standard error, as is said below
             lines.append(row([name, *cells]))
     lines += ["", *head("warnings", *trial.noises)]
@@ -523,15 +544,15 @@ def noise_table(trial: Trial, answers: Answers) -> str:
         "correlation time too long": "lasting",
     }
     for title, what in titles.items():
-        told = (
+        counts = (
             f"{sum(getattr(o, what) for o in f)} of {len(f)}" for f in outcomes.values()
         )
-        lines.append(row([title, *told]))
-    said = []
-    for kind, found in outcomes.items():
-        sentences = [sentence_of_counted(answers, kind), *not_given(found, names)]
-        said.append(f"{kind}: {' '.join(sentences)}")
-    return _page([f"### {trial.title}", "", sentence_of_drawn(answers)], lines, said)
+        lines.append(row([title, *counts]))
+    remarks = []
+    for kind, of_kind in outcomes.items():
+        sentences = [sentence_of_counted(answers, kind), *not_given(of_kind, names)]
+        remarks.append(f"{kind}: {' '.join(sentences)}")
+    return _page([f"### {trial.title}", "", sentence_of_drawn(answers)], lines, remarks)
 
 
 def small_table(trial: Trial, answers: Answers) -> str:
@@ -541,14 +562,20 @@ def small_table(trial: Trial, answers: Answers) -> str:
     nominal, reach = LEVELS["95 %"]
     lines = head("", "n", "1.96 standard errors", "`interval(0.95)`")
     for name in names:
-        items = [item for item in items_of(outcomes, name) if item.held]
-        gauss = sum(abs(item.pull or 0.0) <= reach for item in items)
-        cells = [share(gauss, len(items), nominal), coverage(items)[1]]
-        lines.append(row([name, len(items), *(cell or "none given" for cell in cells)]))
+        quantities = [
+            quantity for quantity in items_of(outcomes, name) if quantity.held
+        ]
+        gauss = sum(abs(quantity.pull or 0.0) <= reach for quantity in quantities)
+        cells = [share(gauss, len(quantities), nominal), coverage(quantities)[1]]
+        lines.append(
+            row([name, len(quantities), *(cell or "none given" for cell in cells)])
+        )
     named = sum(outcome.outliers > 0 for outcome in outcomes)
-    said = [f"An outlier was named by chance in {named} of {len(outcomes)}."]
-    said += not_given(outcomes, names)
-    return _page([f"### {trial.title}", "", _drawn_and_counted(answers)], lines, said)
+    remarks = [f"An outlier was named by chance in {named} of {len(outcomes)}."]
+    remarks += not_given(outcomes, names)
+    return _page(
+        [f"### {trial.title}", "", _drawn_and_counted(answers)], lines, remarks
+    )
 
 
 def _drawn_and_counted(answers: Answers) -> str:
@@ -556,7 +583,7 @@ def _drawn_and_counted(answers: Answers) -> str:
 
 
 def _page(first: list[str], lines: list[str], said: list[str]) -> str:
-    return "\n".join([*first, "", *lines, "", *(f"- {one}" for one in said), ""])
+    return "\n".join([*first, "", *lines, "", *(f"- {remark}" for remark in said), ""])
 
 
 def summary(parts: Mapping[str, Answers]) -> str:
@@ -566,13 +593,14 @@ def summary(parts: Mapping[str, Answers]) -> str:
     )
     total = np.zeros(2, int)
     for law, answers in parts.items():
-        trial, outcomes = TRIALS[f"ranks {law}"], counted(answers)
+        trial = TRIALS[f"ranks {law}"]
+        outcomes = counted(answers)
         rows = [
             line.split("|")
             for line in table(trial, answers).splitlines()
             if "|" in line
         ][2:]
-        cells = [one.strip() for cells in rows for one in (*cells[3:8], *cells[9:11])]
+        cells = [cell.strip() for cells in rows for cell in (*cells[3:8], *cells[9:11])]
         tested = [cell for cell in cells if cell not in ("", "none given")]
         marks = np.array([sum("(!)" in cell for cell in tested), len(tested)])
         total += marks
@@ -613,16 +641,18 @@ def ranks_figure(laws: Mapping[str, Answers], file: Path) -> None:
         sharex=True,
         sharey=True,
     )
-    places = np.arange(DRAWS + 1)
-    even = (places + 1) / (DRAWS + 1)
+    possible_ranks = np.arange(DRAWS + 1)
+    even = (possible_ranks + 1) / (DRAWS + 1)
     for axis in axes.flat[len(laws) :]:
         axis.set_axis_off()
     for axis, (law, answers) in zip(axes.flat, laws.items(), strict=False):
         mine = {sense: with_ranks(answers, sense) for sense in SENSES}
         for sense, colour in zip(SENSES, ("C0", "C1"), strict=True):
             for name in names_of(mine[sense]):
-                ranks = np.sort([item.rank for item in items_of(mine[sense], name)])
-                below = np.searchsorted(ranks, places, side="right") / max(
+                ranks = np.sort(
+                    [quantity.rank for quantity in items_of(mine[sense], name)]
+                )
+                below = np.searchsorted(ranks, possible_ranks, side="right") / max(
                     len(ranks), 1
                 )
                 axis.plot(even, below - even, color=colour, linewidth=0.8, alpha=0.8)
@@ -648,7 +678,9 @@ def _band(throws: int) -> tuple[np.ndarray, np.ndarray]:
     random = np.random.default_rng(0)
     even = np.arange(1, DRAWS + 2) / (DRAWS + 1)
     ranks = random.integers(DRAWS + 1, size=(4000, throws))
-    below = np.array([np.bincount(one, minlength=DRAWS + 1).cumsum() for one in ranks])
+    below = np.array(
+        [np.bincount(sample, minlength=DRAWS + 1).cumsum() for sample in ranks]
+    )
     tails = np.minimum(
         binom.cdf(below, throws, even), binom.sf(below - 1, throws, even)
     )
@@ -669,18 +701,20 @@ def main() -> None:
     parser.add_argument("--throws", type=int, help="of each table")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     asked = parser.parse_args()
-    found: dict[str, Answers] = {}
+    answers_by_trial: dict[str, Answers] = {}
     os.environ.update(_SETTINGS)  # of the processes, which load JAX
     with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
         for name, trial in TRIALS.items():
             if asked.what in ("all", trial.section):
                 numbers = range(asked.throws or THROWS[trial.section])
-                made = pool.map(partial(answer, trial), numbers, chunksize=BLOCK)
-                found[name] = list(made)
-                put(name, table(trial, found[name]))
+                answers = pool.map(partial(answer, trial), numbers, chunksize=BLOCK)
+                answers_by_trial[name] = list(answers)
+                put(name, table(trial, answers_by_trial[name]))
                 print(name, file=sys.stderr)
     ranks = {
-        TRIALS[name].truth: a for name, a in found.items() if name.startswith("ranks")
+        TRIALS[name].truth: a
+        for name, a in answers_by_trial.items()
+        if name.startswith("ranks")
     }
     if ranks:
         put("ranks", summary(ranks))

@@ -82,17 +82,25 @@ Fits = Sequence[curlfit.FitResult | Exception]
 def cells(fits: Fits, white: Fits, truth: Sequence[Sequence[float]]) -> list[str]:
     """Of a row of the table: pulls, shares within two errors, rms over
     that of `white`."""
-    pulls, ratio, failed, bound = [], 0.0, 0, 0
+    pulls = []
+    ratio = 0.0
+    failed = 0
+    bound = 0
     for fit, other, true in zip(fits, white, truth, strict=True):
         if isinstance(fit, Exception) or not fit.converged:
             failed += 1
             continue
-        items = {**fit.parameters, **{one.expression: one for one in fit.combinations}}
-        found = [items.get(name) for name in ASKED]
+        estimates = {
+            **fit.parameters,
+            **{combination.expression: combination for combination in fit.combinations},
+        }
+        asked_estimates = [estimates.get(name) for name in ASKED]
         pulls.append(
             [
-                (one.value - value) / one.stderr if one and one.stderr else np.nan
-                for one, value in zip(found, true, strict=True)
+                (estimate.value - value) / estimate.stderr
+                if estimate and estimate.stderr
+                else np.nan
+                for estimate, value in zip(asked_estimates, true, strict=True)
             ]
         )
         bound += any(np.isnan(pulls[-1]))

@@ -111,8 +111,9 @@ def path_of(
 ) -> tuple[np.ndarray, list[float]]:
     """x, y, phi without noise, shape (3, n), and the times of the changes."""
     coefficients = {
-        item.name: item.default * (1 if item.optional else random.uniform(0.8, 1.2))
-        for item in curlfit.find_law(case.truth).coefficients()
+        coefficient.name: coefficient.default
+        * (1 if coefficient.optional else random.uniform(0.8, 1.2))
+        for coefficient in curlfit.find_law(case.truth).coefficients()
     }
     v0 = random.uniform(1.9, 2.2)
     omega0 = random.choice([-1, 1]) * random.uniform(0.6, 2.0)
@@ -183,7 +184,7 @@ def counts(case: Case, throws: int) -> tuple[int, int, int, int]:
     random = np.random.default_rng(sum(map(ord, case.title)))
     fitted = 0
     doubtful = 0
-    told = 0
+    warned = 0
     near = 0
     for _ in range(throws):
         throw, changes = thrown(case, random)
@@ -194,11 +195,13 @@ def counts(case: Case, throws: int) -> tuple[int, int, int, int]:
         if not result.converged:
             continue
         fitted += 1
-        doubtful += any(item.doubtful for item in result.independence.values())
+        doubtful += any(
+            independence.doubtful for independence in result.independence.values()
+        )
         times = times_told(result)
-        told += bool(times)
+        warned += bool(times)
         near += any(abs(time - change) < NEAR for time in times for change in changes)
-    return fitted, doubtful, told, near
+    return fitted, doubtful, warned, near
 
 
 def main() -> None:
@@ -207,9 +210,9 @@ def main() -> None:
     table = Table("", "fitted", "not independent", "said to change", "within 1 s")
     for case in CASES:
         if chosen.only in case.title:
-            fitted, doubtful, told, near = counts(case, chosen.throws)
+            fitted, doubtful, warned, near = counts(case, chosen.throws)
             changes = bool(case.swept or case.lasting or case.jump)
-            table.add(case.title, fitted, doubtful, told, near if changes else "")
+            table.add(case.title, fitted, doubtful, warned, near if changes else "")
     if not chosen.only:
         table.put("changes", f"{chosen.throws} throws a row.")
 

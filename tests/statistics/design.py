@@ -56,19 +56,19 @@ def made(
     off = {name: width * random.standard_normal() for name, width in widths.items()}
     t = np.arange(int(found.until * found.rate) + 1) / found.rate
     throws = []
-    for one in (found.candidates[index] for index in found.throws):
-        start = curlfit.InitialState(v=one.v0, omega=one.omega0)
+    for candidate in (found.candidates[index] for index in found.throws):
+        start = curlfit.InitialState(v=candidate.v0, omega=candidate.omega0)
         environment = Environment(**off) if off else None
         path = curlfit.simulate(
             law, found.stone, start, t, environment=environment
         ).to_numpy()
-        seen = {
+        channels = {
             name: getattr(path, name) + size * random.standard_normal(len(t))
             for name, size in found.sigma.items()
         }
         throws.append(
             curlfit.Throw.from_arrays(
-                t, **seen, sigma=found.sigma, defaults={"as_given": True}
+                t, **channels, sigma=found.sigma, defaults={"as_given": True}
             )
         )
     return throws
@@ -83,14 +83,16 @@ def bic(throws: list[curlfit.Throw], law: str, widths: dict[str, float]) -> floa
     fit: Any
     if len(throws) == 1:
         fit = curlfit.fit(throws[0], law, details=False, **choices)
-        fits, known = (fit,), fit.parameters
+        fits = (fit,)
+        estimates = fit.parameters
     else:
         fit = curlfit.fit_together(throws, law, share="all", **choices)
-        fits, known = fit.throws, fit.coefficients
-    n = sum(one.n_observations for one in fits)
-    priors = sum((known[name].value / width) ** 2 for name, width in widths.items())
+        fits = fit.throws
+        estimates = fit.coefficients
+    n = sum(throw_fit.n_observations for throw_fit in fits)
+    priors = sum((estimates[name].value / width) ** 2 for name, width in widths.items())
     return float(
-        sum(one.chi_squared for one in fits)
+        sum(throw_fit.chi_squared for throw_fit in fits)
         + priors
         + fit.identifiability.rank * np.log(n)
     )
@@ -99,15 +101,15 @@ def bic(throws: list[curlfit.Throw], law: str, widths: dict[str, float]) -> floa
 def add_lines(table: Table, case: Case, sets: int) -> None:
     """The promise and what came of it, for each law as the true one."""
     sigma = {"x": case.noise, "y": case.noise, "phi": 2 * case.noise}
-    found = curlfit.discriminate(
+    discrimination = curlfit.discriminate(
         case.laws, sigma=sigma, systematics={"all": 0.0, **case.widths}, **GRID
     )
-    for pair in found.pairs:
+    for pair in discrimination.pairs:
         random = np.random.default_rng(SEED)
-        law = curlfit.law_with(pair.truth, found.laws[pair.truth])
+        law = curlfit.law_with(pair.truth, discrimination.laws[pair.truth])
         odds = []
         for _ in range(sets):
-            throws = made(found, law, case.widths, random)
+            throws = made(discrimination, law, case.widths, random)
             true, rival = (
                 bic(throws, name, case.widths) for name in (pair.truth, pair.rival)
             )
@@ -116,12 +118,12 @@ def add_lines(table: Table, case: Case, sets: int) -> None:
             f"`{pair.truth}`",
             f"`{pair.rival}`",
             f"{case.noise:g} m",
-            len(found.throws),
+            len(discrimination.throws),
             f"{pair.log_odds:.1f} ± {pair.sd:.1f}",
             f"{np.mean(odds):.1f} ± {np.std(odds):.1f}",
         ]
         for promised, least in ((pair.wins, 0.0), (pair.decides, DECISIVE)):
-            count = sum(one > least for one in odds)
+            count = sum(log_odds > least for log_odds in odds)
             p = binomtest(
                 count, sets, min(promised, 1 - 1e-12), alternative="less"
             ).pvalue

@@ -131,8 +131,9 @@ def thrown(
     """A throw, and the true values of what is fitted."""
     law = curlfit.find_law(case.truth)
     values = {
-        item.name: item.default * (1 if item.optional else random.uniform(0.8, 1.2))
-        for item in law.coefficients()
+        coefficient.name: coefficient.default
+        * (1 if coefficient.optional else random.uniform(0.8, 1.2))
+        for coefficient in law.coefficients()
     }
     true = {
         "v0": random.uniform(1.9, 2.2),
@@ -176,7 +177,7 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
     random = np.random.default_rng(seed)
     data = [thrown(case, random) for _ in range(throws)]
     fits = fit_throws([throw for throw, _ in data], case.fitted, **case.options)
-    found = {
+    tallies = {
         group: [0] * (1 + len(LEVELS)) for group in ("coefficients", "initial state")
     }
     failed = 0
@@ -187,31 +188,33 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
         estimates = {
             name: fit.parameters[name] for name in true if name in fit.parameters
         }
-        items: dict[str, Any] = {
-            name: item
-            for name, item in estimates.items()
-            if item.stderr and (case.weak or item.verdict != "weak")
+        counted: dict[str, Any] = {
+            name: estimate
+            for name, estimate in estimates.items()
+            if estimate.stderr and (case.weak or estimate.verdict != "weak")
         }
-        known = {name: true[name] for name in items}
-        for one in fit.combinations:
-            if set(one.weights) <= true.keys():
-                items[one.expression] = one
-                known[one.expression] = sum(w * true[n] for n, w in one.weights.items())
-        for name, item in items.items():
-            group = found["initial state" if name in START else "coefficients"]
+        truths = {name: true[name] for name in counted}
+        for combination in fit.combinations:
+            if set(combination.weights) <= true.keys():
+                counted[combination.expression] = combination
+                truths[combination.expression] = sum(
+                    w * true[n] for n, w in combination.weights.items()
+                )
+        for name, quantity in counted.items():
+            group = tallies["initial state" if name in START else "coefficients"]
             group[-1] += 1
-            for place, (level, _) in enumerate(LEVELS.values()):
-                low, high = item.interval(level)
+            for column, (level, _) in enumerate(LEVELS.values()):
+                low, high = quantity.interval(level)
                 if case.systematic:
                     wider = math.hypot(
                         high - low,
                         2
-                        * LEVELS[list(LEVELS)[place]][1]
+                        * LEVELS[list(LEVELS)[column]][1]
                         * fit.systematics.errors[name],
                     )
                     low, high = (low + high - wider) / 2, (low + high + wider) / 2
-                group[place] += low <= known[name] <= high
-    return found, f"{failed}" if failed else ""
+                group[column] += low <= truths[name] <= high
+    return tallies, f"{failed}" if failed else ""
 
 
 def main() -> None:
@@ -229,11 +232,11 @@ def main() -> None:
     for case in CASES:
         if chosen.only not in case.title:
             continue
-        found, failed = counts(case, chosen.throws)
+        tallies, failed = counts(case, chosen.throws)
         cells = [
-            share(group[place], group[-1], nominal)
-            for group in found.values()
-            for place, (nominal, _) in enumerate(LEVELS.values())
+            share(group[column], group[-1], nominal)
+            for group in tallies.values()
+            for column, (nominal, _) in enumerate(LEVELS.values())
         ]
         table.add(case.title, *cells, failed)
     if not chosen.only:

@@ -34,12 +34,23 @@ from curlfit.prediction.result import Call
 from curlfit.throws.events import Event
 from curlfit.throws.readers.record import USUAL_SPIN
 
-HOG, FAR_HOG, TEE = 10.059, 32.004, 38.405  # m from the hack
-HOG_TO_HOG, HOG_TO_TEE, GRAVITY = FAR_HOG - HOG, TEE - HOG, 9.81
+# m from the hack
+HOG = 10.059
+FAR_HOG = 32.004
+TEE = 38.405
+
+HOG_TO_HOG = FAR_HOG - HOG
+HOG_TO_TEE = TEE - HOG
+GRAVITY = 9.81
 EVERY = 7 / 60  # h between draws
-SIGMA_TIME, SIGMA_REST_TIME, SIGMA_TAPE, SIGMA_TURNS = 0.07, 0.1, 0.05, 0.12
-SPREAD_FRICTION, SPREAD_CURL = 0.02, 0.04
-FRICTION_APART, CURL_APART = 0.05, 0.25
+SIGMA_TIME = 0.07
+SIGMA_REST_TIME = 0.1
+SIGMA_TAPE = 0.05
+SIGMA_TURNS = 0.12
+SPREAD_FRICTION = 0.02
+SPREAD_CURL = 0.04
+FRICTION_APART = 0.05
+CURL_APART = 0.25
 LEVELS = {"68 %": 0.68, "95 %": 0.95}
 
 
@@ -174,15 +185,17 @@ def as_throw(values: Mapping[str, float], labels: dict[str, str]) -> curlfit.Thr
         "curl": ("curl", "x", SIGMA_TAPE, None, HOG),
         "turns": ("turns", "phi", 2 * np.pi * SIGMA_TURNS, None, HOG),
     }
-    made = []
+    measurements = []
     for name, value in values.items():
         key, quantity, sigma, at, since = events[name]
         value = {"rest": TEE + value, "curl": -value}.get(name, value)
-        made.append(Event(key, quantity, value, sigma, at, since))
+        measurements.append(Event(key, quantity, value, sigma, at, since))
     spin = 0.0
     if "turns" not in values and "curl" in values:
         spin = np.sign(values["curl"]) * USUAL_SPIN
-    return curlfit.Throw.from_events(made, assumed={"omega0": spin}, labels=labels)
+    return curlfit.Throw.from_events(
+        measurements, assumed={"omega0": spin}, labels=labels
+    )
 
 
 def regression(
@@ -248,10 +261,12 @@ class Evening:
         self.rows = []
         self.sense = 1.0
         for sheet, hour in zip(self.sheets.tolist(), self.hours.tolist(), strict=True):
-            own = self.law_of_a_draw(sheet, hour)
+            coefficients = self.law_of_a_draw(sheet, hour)
             w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
             v = usual * np.sqrt(self.means(sheet, hour)[0] / self.ice[0])
-            draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
+            draw = thrown(
+                truth.law, coefficients, v * (1 + 0.01 * random.standard_normal()), w
+            )
             row = measured(draw, columns, random)
             if sheet == 2 and row.keys() & {"curl", "turns"}:
                 self.sense = np.sign(w)
@@ -264,8 +279,8 @@ class Evening:
 
     def law_of_a_draw(self, sheet: int, hour: float) -> dict[str, float]:
         """Coefficients of the next draw, which varies about its sheet's mean."""
-        own = self.random.standard_normal(2) * (SPREAD_FRICTION, SPREAD_CURL)
-        return self.truth.at(*self.means(sheet, hour) * (1 + own))
+        deviation = self.random.standard_normal(2) * (SPREAD_FRICTION, SPREAD_CURL)
+        return self.truth.at(*self.means(sheet, hour) * (1 + deviation))
 
     def labels(self, draw: int) -> dict[str, str]:
         """Of a draw."""
@@ -288,7 +303,9 @@ def answers_of(
         return {}, {}
     answers = {}
     by_regression = regression(rows, evening.sheets, evening.hours)
-    friction = next(one for one in joint.groups if one.parameter == "friction").value
+    friction = next(
+        group_mean for group_mean in joint.groups if group_mean.parameter == "friction"
+    ).value
     turn = joint.means.angle
     first, second = (
         draw_to_the_tee(
@@ -306,18 +323,18 @@ def answers_of(
         ("of the sheets", joint.differences),
         ("per hour", joint.trend),
     ):
-        for one in effects:
-            question = f"{one.parameter} {name}"
-            if one.parameter not in ("friction", "curl"):
+        for effect in effects:
+            question = f"{effect.parameter} {name}"
+            if effect.parameter not in ("friction", "curl"):
                 continue
-            unit = friction if one.parameter == "friction" else 1.0
+            unit = friction if effect.parameter == "friction" else 1.0
             spans = {}
             for level, size in LEVELS.items():
-                low, high = one.interval(size)
+                low, high = effect.interval(size)
                 spans[level] = (low / unit, high / unit)
-            answers[question] = Answer(truths[question], one.value / unit, spans)
-    own = evening.law_of_a_draw(2, draws * EVERY)
-    answers |= next_draw(truth, joint, own, draws, evening.sense * turn, seed)
+            answers[question] = Answer(truths[question], effect.value / unit, spans)
+    coefficients = evening.law_of_a_draw(2, draws * EVERY)
+    answers |= next_draw(truth, joint, coefficients, draws, evening.sense * turn, seed)
     widths = {
         name: 2 * error * float(student.ppf(0.975, freedom))
         for name, (_, error, freedom) in by_regression.items()
@@ -340,17 +357,17 @@ def next_draw(
     call = Call(labels, hog_to_hog=draw.hog_to_hog)
     predicted = curlfit.predict(joint, call=call, seed=seed)
     answers = {}
-    places = {"rest_y": draw.rest}
-    if "curl" in {one.parameter for one in joint.groups}:
-        places["rest_x"] = -draw.curl
-    for name, place in places.items():
-        item = predicted.quantities[name]
+    coordinates = {"rest_y": draw.rest}
+    if "curl" in {group_mean.parameter for group_mean in joint.groups}:
+        coordinates["rest_x"] = -draw.curl
+    for name, coordinate in coordinates.items():
+        quantity = predicted.quantities[name]
         spans = {
-            "68 %": (item.quantiles["16"], item.quantiles["84"]),
-            "95 %": (item.quantiles["2.5"], item.quantiles["97.5"]),
+            "68 %": (quantity.quantiles["16"], quantity.quantiles["84"]),
+            "95 %": (quantity.quantiles["2.5"], quantity.quantiles["97.5"]),
         }
         way = "along" if name == "rest_y" else "across"
-        answers[f"next draw, {way}"] = Answer(place, item.value, spans)
+        answers[f"next draw, {way}"] = Answer(coordinate, quantity.value, spans)
     return answers
 
 
@@ -359,26 +376,28 @@ def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]
     tried = [
         answers_of(TRUTHS[truth], COLUMNS[columns], seed) for seed in range(evenings)
     ]
-    usable = [one for one in tried if one[0]]
+    usable = [evening for evening in tried if evening[0]]
     yield (truth, columns, "usable", f"{len(usable)} of {len(tried)}", "", "", "")
     for question in {name: None for answers, _ in usable for name in answers}:
         mine = [answers[question] for answers, _ in usable if question in answers]
         counts = []
         for level, size in LEVELS.items():
             inside = sum(
-                one.intervals[level][0] <= one.truth <= one.intervals[level][1]
-                for one in mine
+                answer.intervals[level][0] <= answer.truth <= answer.intervals[level][1]
+                for answer in mine
             )
             counts.append(share(inside, len(mine), size))
-        scatter = np.sqrt(np.mean([(one.value - one.truth) ** 2 for one in mine]))
-        both = [
+        scatter = np.sqrt(
+            np.mean([(answer.value - answer.truth) ** 2 for answer in mine])
+        )
+        width_pairs = [
             (answers[question].width, widths[question])
             for answers, widths in usable
             if question in answers and question in widths
         ]
         ratio = ""
-        if both:
-            width, of_regression = np.median(both, axis=0)
+        if width_pairs:
+            width, of_regression = np.median(width_pairs, axis=0)
             ratio = f"{width / of_regression:.2f}"
         yield (
             truth,

@@ -21,12 +21,17 @@ import curlfit
 from curlfit.prediction.result import Call
 from curlfit.sheet import LINES, TEE
 
-DRAWS, EVERY = 16, 7 / 60  # h between draws
+DRAWS = 16
+EVERY = 7 / 60  # h between draws
 MEAN = curlfit.law_with("front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05})
 SUM = MEAN.mu1_eta + MEAN.mu2_eta
-APART, RISING, SPREAD, OF_CURL = 0.05, 0.01, 0.012, 0.02
+APART = 0.05
+RISING = 0.01
+SPREAD = 0.012
+OF_CURL = 0.02
 STONE = curlfit.Stone(R=0.065)
-WEIGHT, SPIN = 13.4, 1.3  # hog to hog of the draw that is predicted, s; rad/s
+WEIGHT = 13.4  # hog to hog of the draw that is predicted, s
+SPIN = 1.3  # rad/s
 LEVELS = {"68 %": 0.68, "95 %": 0.95}
 GRID = np.append(np.linspace(0.0, 40.0, 401), 300.0)
 
@@ -67,11 +72,11 @@ def hog_to_hog(path: curlfit.Trajectory) -> float:
 
 def tracked(path: curlfit.Trajectory, random: np.random.Generator) -> curlfit.Throw:
     """A track at 10 Hz."""
-    seen = slice(0, 241)
+    rows = slice(0, 241)
     noise = random.standard_normal((3, 241)) * np.array([0.005, 0.005, 0.01])[:, None]
-    places = (getattr(path, name)[seen] for name in ("x", "y", "phi"))
+    channels = (getattr(path, name)[rows] for name in ("x", "y", "phi"))
     return curlfit.Throw.from_arrays(
-        path.t[seen], *(a + b for a, b in zip(places, noise, strict=True))
+        path.t[rows], *(a + b for a, b in zip(channels, noise, strict=True))
     )
 
 
@@ -81,7 +86,8 @@ def answers(evenings: int) -> Iterator[dict[str, Answer]]:
         random = np.random.default_rng(1000 + seed)
         throws = []
         for draw in range(DRAWS):
-            sheet, side = draw % 2 + 1, 1 if draw // 2 % 2 else -1
+            sheet = draw % 2 + 1
+            side = 1 if draw // 2 % 2 else -1
             law = law_at(draw, sheet, random)
             path = path_of(
                 law, random.uniform(2.19, 2.29), side * random.uniform(1.0, 1.6)
@@ -97,19 +103,20 @@ def answers(evenings: int) -> Iterator[dict[str, Answer]]:
             trend="hour",
             systematics={"all": 0.0},
         )
-        found = {}
+        by_question = {}
         for name, effects, truth in (
             ("difference of the sheets", joint.differences, APART * SUM),
             ("trend per hour", joint.trend, RISING * SUM),
         ):
-            (one,) = (item for item in effects if "eta" in item.parameter)
-            spans = {level: one.interval(size) for level, size in LEVELS.items()}
-            found[f"{name}, mu1_eta + mu2_eta"] = Answer(
-                truth, one.value, one.stderr, spans
+            (effect,) = (effect for effect in effects if "eta" in effect.parameter)
+            spans = {level: effect.interval(size) for level, size in LEVELS.items()}
+            by_question[f"{name}, mu1_eta + mu2_eta"] = Answer(
+                truth, effect.value, effect.stderr, spans
             )
         labels = {"sheet": "2", "hour": f"{DRAWS * EVERY:.6f}"}
         law = law_at(DRAWS, 2, random)
-        low, high = 1.8, 3.0
+        low = 1.8
+        high = 3.0
         for _ in range(40):
             v = (low + high) / 2
             low, high = (
@@ -119,15 +126,15 @@ def answers(evenings: int) -> Iterator[dict[str, Answer]]:
         call = Call(labels, hog_to_hog=WEIGHT)
         predicted = curlfit.predict(joint, call=call, start={"omega0": SPIN}, seed=seed)
         for name, truth in (("rest_y", end.y[-1] - TEE), ("rest_x", end.x[-1])):
-            item = predicted.quantities[name]
+            quantity = predicted.quantities[name]
             spans = {
-                "68 %": (item.quantiles["16"], item.quantiles["84"]),
-                "95 %": (item.quantiles["2.5"], item.quantiles["97.5"]),
+                "68 %": (quantity.quantiles["16"], quantity.quantiles["84"]),
+                "95 %": (quantity.quantiles["2.5"], quantity.quantiles["97.5"]),
             }
-            found[f"the next draw, {name} (m)"] = Answer(
-                truth, item.value, item.sd, spans
+            by_question[f"the next draw, {name} (m)"] = Answer(
+                truth, quantity.value, quantity.sd, spans
             )
-        yield found
+        yield by_question
 
 
 def main() -> None:
@@ -135,7 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("evenings", type=int)
     asked = parser.parse_args()
-    found = list(answers(asked.evenings))
+    evenings = list(answers(asked.evenings))
     table = Table(
         "",
         "inside 68 %",
@@ -144,23 +151,23 @@ def main() -> None:
         "median error stated",
         "true scatter",
     )
-    for name in found[0]:
-        mine = [one[name] for one in found]
-        true = np.array([one.truth for one in mine])
-        off = np.array([one.value for one in mine]) - true
-        error = np.array([one.error for one in mine])
+    for name in evenings[0]:
+        by_evening = [evening[name] for evening in evenings]
+        true = np.array([answer.truth for answer in by_evening])
+        off = np.array([answer.value for answer in by_evening]) - true
+        error = np.array([answer.error for answer in by_evening])
         counts = []
         for level, size in LEVELS.items():
-            low, high = np.array([one.intervals[level] for one in mine]).T
+            low, high = np.array([answer.intervals[level] for answer in by_evening]).T
             inside = int(((low <= true) & (true <= high)).sum())
-            counts.append(share(inside, len(mine), size))
+            counts.append(share(inside, len(by_evening), size))
         numbers = (
             np.sqrt(np.mean((off / error) ** 2)),
             np.median(error),
             np.sqrt(np.mean(off**2)),
         )
         table.add(name, *counts, *(f"{number:.2g}" for number in numbers))
-    table.put("evenings tracks", f"{len(found)} evenings.")
+    table.put("evenings tracks", f"{len(evenings)} evenings.")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ import curlfit
 
 UNTIL = 12.0
 TIMES = (14.0, 17.0, 20.0)
-NOISE_XY, NOISE_PHI = 0.005, 0.01
+NOISE_XY = 0.005
+NOISE_PHI = 0.01
 LEVELS = {"68 %": ("16", "84", 0.68, 0.99446), "95 %": ("2.5", "97.5", 0.95, 1.95996)}
 ASKED = (
     *(f"{name} at {t:g} s" for t in TIMES for name in ("x", "y", "phi")),
@@ -80,13 +81,13 @@ def answers(
     left = Counter() if left is None else left
     random = np.random.default_rng(seed)
     stone = curlfit.Stone(R=0.065)
-    given = 0
-    while given < throws:
+    answered = 0
+    while answered < throws:
         law = curlfit.find_law(case.truth)
         scaled = {
-            item.name: item.default * random.uniform(0.9, 1.1)
-            for item in law.coefficients()
-            if not (item.optional or item.signed)
+            coefficient.name: coefficient.default * random.uniform(0.9, 1.1)
+            for coefficient in law.coefficients()
+            if not (coefficient.optional or coefficient.signed)
         }
         start = {
             "v0": random.uniform(2.0, 2.3),
@@ -106,29 +107,31 @@ def answers(
         if not path.speed[200] > 0.05:
             left["all but at rest at 20 s"] += 1
             continue
-        seen = slice(0, 201)
+        recorded = slice(0, 201)
         noise = [
             correlated(random.standard_normal(201), case.correlation) for _ in range(3)
         ]
         throw = curlfit.Throw.from_arrays(
-            t[seen],
-            path.x[seen] + NOISE_XY * noise[0],
-            path.y[seen] + NOISE_XY * noise[1],
-            path.phi[seen] + NOISE_PHI * noise[2],
+            t[recorded],
+            path.x[recorded] + NOISE_XY * noise[0],
+            path.y[recorded] + NOISE_XY * noise[1],
+            path.phi[recorded] + NOISE_PHI * noise[2],
         )
         fit = curlfit.fit(throw, case.fitted, stone=stone, until=UNTIL)
         if not fit.converged:
             left["not converged"] += 1
             continue
-        given += 1
-        predicted = curlfit.predict(fit, line="data", draws=500, seed=given)
+        answered += 1
+        predicted = curlfit.predict(fit, line="data", draws=500, seed=answered)
         yield _judged(predicted, path)
 
 
 def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
     series = predicted.series
     resting = path.t[np.flatnonzero(path.speed > 0)[-1]]
-    truth, best, own = {}, {}, {}
+    truth = {}
+    best = {}
+    parameter_sd = {}
     quantiles: dict[str, dict[str, float]] = {}
     for t in TIMES:
         for name in ("x", "y", "phi"):
@@ -138,33 +141,32 @@ def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
                 return float(np.interp(t, series["t"], series[column]))
 
             truth[key] = float(getattr(path, name)[round(t / 0.1)])
-            best[key], own[key] = at(name), at(f"{name}_parameter_sd")
+            best[key] = at(name)
+            parameter_sd[key] = at(f"{name}_parameter_sd")
             quantiles[key] = {
                 level: at(f"{name}_{level}") for level in ("2.5", "16", "84", "97.5")
             }
     shift = {"rest_x": path.x[-1], "rest_y": path.y[-1] - 38.405, "time": None}
     for name, value in shift.items():
-        item = predicted.quantities[name]
+        quantity = predicted.quantities[name]
         # the time of rest is known to the rows' 0.1 s only; two more rows tell it
         truth[name] = _time_of_rest(path) if value is None else float(value)
-        best[name], own[name], quantiles[name] = (
-            item.value,
-            item.parameter_sd,
-            item.quantiles,
-        )
+        best[name] = quantity.value
+        parameter_sd[name] = quantity.parameter_sd
+        quantiles[name] = quantity.quantiles
     assert truth["time"] >= resting
-    both: dict[str, dict[str, bool]] = {}
+    both_errors: dict[str, dict[str, bool]] = {}
     parameters: dict[str, dict[str, bool]] = {}
     for level, (low, high, _, sigmas) in LEVELS.items():
-        both[level] = {
+        both_errors[level] = {
             k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED
         }
         parameters[level] = {
-            k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED
+            k: abs(truth[k] - best[k]) <= sigmas * parameter_sd[k] for k in ASKED
         }
     off = {k: abs(truth[k] - best[k]) for k in ASKED}
     half = {k: (quantiles[k]["84"] - quantiles[k]["16"]) / 2 for k in ASKED}
-    return Answer(both, parameters, predicted.misfit.detected, off, half)
+    return Answer(both_errors, parameters, predicted.misfit.detected, off, half)
 
 
 def _time_of_rest(path: curlfit.Trajectory) -> float:
@@ -180,8 +182,9 @@ def _time_of_rest(path: curlfit.Trajectory) -> float:
 
 def write(number: int, throws: int) -> None:
     """Run a case and put its table into README.md."""
-    case, left = CASES[number - 1], Counter[str]()
-    found = list(answers(case, throws, left=left))
+    case = CASES[number - 1]
+    left = Counter[str]()
+    results = list(answers(case, throws, left=left))
     counted = f"{throws + left.total()} throws drawn, {throws} counted"
     if left:
         counted += f"; left out: {reasons(left.elements())}"
@@ -198,14 +201,14 @@ def write(number: int, throws: int) -> None:
         cells = []
         for level, (_, _, nominal, _) in LEVELS.items():
             for kind in ("both", "parameters"):
-                inside = sum(getattr(answer, kind)[level][name] for answer in found)
+                inside = sum(getattr(answer, kind)[level][name] for answer in results)
                 cells.append(share(inside, throws, nominal))
         cells += [
-            f"{np.median([getattr(answer, kind)[name] for answer in found]):.2g}"
+            f"{np.median([getattr(answer, kind)[name] for answer in results]):.2g}"
             for kind in ("off", "half")
         ]
         table.add(name.replace("_", " "), *cells)
-    missing = f"The law was taken to miss something in {sum(a.found for a in found)}."
+    missing = f"The law was taken to miss something in {sum(a.found for a in results)}."
     title = f"{case.title[0].upper()}{case.title[1:]}"
     table.put(f"held-out {number}", f"### {title}\n\n{counted}. {missing}")
 

@@ -64,9 +64,9 @@ class Problem(NamedTuple):
 
     def jacobian(self, spin: float, values: np.ndarray) -> np.ndarray:
         """Derivatives of the residuals, shape (residuals, parameters)."""
-        here = self.residuals(spin, values)
+        residuals = self.residuals(spin, values)
         columns = [
-            (self.residuals(spin, values + step) - here) / step.sum()
+            (self.residuals(spin, values + step) - residuals) / step.sum()
             for step in np.diag(self.steps)
         ]
         return np.column_stack(columns)

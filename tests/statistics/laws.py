@@ -36,11 +36,11 @@ def delta_bic(fits: list[curlfit.FitResult]) -> dict[str, float]:
     likelihoods = [log_likelihood(fit) for fit in fits]
     best = max(range(len(fits)), key=lambda index: sum(likelihoods[index].values()))
     effective = effective_values(fits[best])
-    found: dict[str, float] = {}
+    bic_by_law: dict[str, float] = {}
     for fit, likelihood in zip(fits, likelihoods, strict=True):
         bic = criteria(fit, likelihood, effective)["bic"]
-        found[fit.law] = min(bic, found.get(fit.law, np.inf))
-    return {law: bic - min(found.values()) for law, bic in found.items()}
+        bic_by_law[fit.law] = min(bic, bic_by_law.get(fit.law, np.inf))
+    return {law: bic - min(bic_by_law.values()) for law, bic in bic_by_law.items()}
 
 
 def main() -> None:
@@ -66,10 +66,10 @@ def main() -> None:
             fits[noise] = list(zip(*by_law, strict=True))
         for noises in (("white",), ("ar1",), NOISES):
             behind = []
-            for each in zip(*(fits[noise] for noise in noises), strict=True):
+            for throw_fits in zip(*(fits[noise] for noise in noises), strict=True):
                 usable = [
                     fit
-                    for fit in chain(*each)
+                    for fit in chain(*throw_fits)
                     if not isinstance(fit, Exception) and fit.converged
                 ]
                 behind.append(delta_bic(usable)[TRUE])
@@ -79,7 +79,10 @@ def main() -> None:
                 " and ".join(noises),
                 f"{(size <= STRONG).sum()} of {number}",
                 f"{(size < 0.05).sum()}",
-                *(f"{one:.1f}" for one in np.quantile(size, [0.5, 0.95, 1.0])),
+                *(
+                    f"{quantile:.1f}"
+                    for quantile in np.quantile(size, [0.5, 0.95, 1.0])
+                ),
             )
     table.put("laws")
 

@@ -56,14 +56,14 @@ def as_typed(column: str, value: float) -> float:
 
 def digits_exchanged(text: str, random: np.random.Generator) -> str:
     """Two neighbouring digits exchanged."""
-    places = [
+    positions = [
         k
         for k in range(len(text) - 1)
         if text[k : k + 2].isdigit() and text[k] != text[k + 1]
     ]
-    if not places:
+    if not positions:
         return text
-    k = int(random.choice(places))
+    k = int(random.choice(positions))
     return text[:k] + text[k + 1] + text[k] + text[k + 2 :]
 
 
@@ -100,15 +100,15 @@ def mistakes_of(
 def scatters(table: list[dict[str, str]]) -> dict[str, float]:
     """Standard deviation of each column of an evening, of places and curls of their
     sizes, as far as the order of the rows does not explain it."""
-    found = {}
+    deviations = {}
     for name in table[0]:
         values = np.array([float(row[name]) for row in table])
         if name in ("curl", "turns"):
             values = np.abs(values)
         order = np.arange(len(values))
         left = values - np.polyval(np.polyfit(order, values, 1), order)
-        found[name] = float(left.std(ddof=2))
-    return found
+        deviations[name] = float(left.std(ddof=2))
+    return deviations
 
 
 def written(table: list[dict[str, str]], evening: Evening, file: Path) -> None:
@@ -141,7 +141,7 @@ def odd_rows_of(file: Path) -> set[int] | None:
 def main(evenings: int) -> None:
     """Count, and write the table."""
     named: Counter[tuple[str, str]] = Counter()
-    made: Counter[tuple[str, str]] = Counter()
+    totals: Counter[tuple[str, str]] = Counter()
     right_rows = 0
     called_odd = 0
     refused = 0
@@ -174,11 +174,11 @@ def main(evenings: int) -> None:
                         size = abs(mistake.off) / sizes[mistake.column]
                         for words, (low, high) in SIZES.items():
                             if low <= size < high:
-                                made[mistake.kind, words] += 1
+                                totals[mistake.kind, words] += 1
                                 named[mistake.kind, words] += mistake.row in odd
     lines = Table("mistake", "size over scatter", "made", "named")
-    for kind, words in sorted(made):
-        count = made[kind, words]
+    for kind, words in sorted(totals):
+        count = totals[kind, words]
         share = 100 * named[kind, words] / count
         lines.add(kind, words, count, f"{share:.0f} %")
     before = (

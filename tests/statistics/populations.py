@@ -29,7 +29,9 @@ from curlfit.inference.derived.quantiles import LEVELS
 from curlfit.inference.fit.coefficient_rows import coefficient_rows
 from curlfit.inference.together.effects import Covariates
 
-WARM, DRAWS, CHAINS = 2000, 10_000, 4
+WARM = 2000
+DRAWS = 10_000
+CHAINS = 4
 TRUTH = TRUTHS["front-back"]
 
 
@@ -51,7 +53,8 @@ def tracks(number: int, seed: int) -> list[curlfit.Throw]:
     throws = []
     for draw in range(number):
         coefficients = evening.law_of_a_draw(evening.sheets[draw], evening.hours[draw])
-        v, w = noise.uniform(2.19, 2.29), 1.3
+        v = noise.uniform(2.19, 2.29)
+        w = 1.3
         path = simulated(TRUTH.law, coefficients, v, w, times)
         x, y, phi = path + 0.05 * noise.standard_normal(path.shape)
         throw = curlfit.Throw.from_arrays(times, x, y, phi, labels=evening.labels(draw))
@@ -75,30 +78,36 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
     """Draws of the mean, of the effect of the sheet and of the spreads."""
     means = joint.means
     assert means is not None
-    alone = [curlfit.fit(one, "front-back", fix=FIXED, details=False) for one in throws]
-    told = np.array([coefficient_rows(one) for one in alone])
-    labels = [(one.name, one.labels) for one in throws]
+    alone = [
+        curlfit.fit(throw, "front-back", fix=FIXED, details=False) for throw in throws
+    ]
+    rows = np.array([coefficient_rows(fit) for fit in alone])
+    labels = [(throw.name, throw.labels) for throw in throws]
     covariate = Covariates.of(labels, ["sheet"], []).values[:, 0]
     directions = np.asarray(means.directions)
-    k, size = len(means.spreads), len(means.names)
+    k = len(means.spreads)
+    size = len(means.names)
     scale = np.sqrt(np.diagonal(np.asarray(means.covariance)))[:size]
     free = scale > 0
-    each = np.array(
+    spread_scale = np.array(
         [
-            max(item.spread, 0.1 * np.median([one[1] for one in item.each if one]))
-            for item in joint.variation
-            if item.quantiles
+            max(
+                variation.spread,
+                0.1 * np.median([pair[1] for pair in variation.each if pair]),
+            )
+            for variation in joint.variation
+            if variation.quantiles
         ]
     )
 
     def model() -> None:
         z = numpyro.sample("z", flat(int(free.sum())))
         mean = jnp.asarray(means.estimate[:size]).at[free].add(scale[free] * z)
-        effect = each * numpyro.sample("e", flat(k))
-        spread = each * jnp.abs(numpyro.sample("s", flat(k)))
-        u = numpyro.sample("u", dist.Normal(0, 1).expand([len(told), k]).to_event(2))
-        own = mean + (effect * covariate[:, None] + spread * u) @ directions.T
-        left = (told[..., :-1] @ own[..., None])[..., 0] - told[..., -1]
+        effect = spread_scale * numpyro.sample("e", flat(k))
+        spread = spread_scale * jnp.abs(numpyro.sample("s", flat(k)))
+        u = numpyro.sample("u", dist.Normal(0, 1).expand([len(rows), k]).to_event(2))
+        coefficients = mean + (effect * covariate[:, None] + spread * u) @ directions.T
+        left = (rows[..., :-1] @ coefficients[..., None])[..., 0] - rows[..., -1]
         numpyro.factor("throws", -0.5 * (left**2).sum())
         for name, values in (("mean", mean), ("effect", effect), ("spread", spread)):
             numpyro.deterministic(name, values)
@@ -107,7 +116,7 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
         "z": np.zeros(int(free.sum())),
         "e": np.zeros(k),
         "s": np.ones(k),
-        "u": np.zeros((len(told), k)),
+        "u": np.zeros((len(rows), k)),
     }
     kernel = NUTS(
         model,
@@ -124,8 +133,8 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
         progress_bar=False,
     )
     run.run(jax.random.PRNGKey(2))
-    found = run.get_samples(group_by_chain=True)
-    return {name: np.asarray(found[name]) for name in ("mean", "effect", "spread")}
+    samples = run.get_samples(group_by_chain=True)
+    return {name: np.asarray(samples[name]) for name in ("mean", "effect", "spread")}
 
 
 def main() -> None:
@@ -142,25 +151,25 @@ def main() -> None:
             seed=1,
         )
         mine = time.time() - began
-        found = by_nuts(joint, throws)
+        draws = by_nuts(joint, throws)
         assert joint.means is not None
-        varying = [item for item in joint.variation if item.quantiles]
+        varying = [variation for variation in joint.variation if variation.quantiles]
         of_mean, of_effect, of_spread = (
-            found[name].reshape(CHAINS * DRAWS, -1)
+            draws[name].reshape(CHAINS * DRAWS, -1)
             for name in ("mean", "effect", "spread")
         )
-        for place, (name, spread) in enumerate(
-            (one.expression, one.quantiles) for one in varying
+        for column, (name, spread) in enumerate(
+            (variation.expression, variation.quantiles) for variation in varying
         ):
-            weights = np.linalg.pinv(np.asarray(joint.means.directions))[place]
+            weights = np.linalg.pinv(np.asarray(joint.means.directions))[column]
             for what, quantiles, sample in (
                 ("mean", one_of(joint.groups, name, "").quantiles, of_mean @ weights),
                 (
                     "sheet 2 - 1",
                     one_of(joint.differences, name, "sheet").quantiles,
-                    of_effect[:, place],
+                    of_effect[:, column],
                 ),
-                ("spread", spread, of_spread[:, place]),
+                ("spread", spread, of_spread[:, column]),
             ):
                 other = np.quantile(sample, [float(level) / 100 for level in LEVELS])
                 width = other[3] - other[1]
@@ -181,7 +190,9 @@ def main() -> None:
 
 def one_of(effects: tuple[Any, ...], name: str, by: str) -> Any:
     """The effect in a quantity, by a label."""
-    return next(item for item in effects if (item.parameter, item.by) == (name, by))
+    return next(
+        effect for effect in effects if (effect.parameter, effect.by) == (name, by)
+    )
 
 
 if __name__ == "__main__":

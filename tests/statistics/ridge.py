@@ -377,7 +377,9 @@ def bands_of(
     predicted: Callable[[], curlfit.Prediction],
 ) -> Outcomes:
     """Whether the bands of a prediction contain the true values."""
-    quantities = [each for each in quantities_of(case) if each.source == source]
+    quantities = [
+        quantity for quantity in quantities_of(case) if quantity.source == source
+    ]
     try:
         prediction = predicted()
     except Exception as error:
@@ -484,8 +486,8 @@ def season_on_disk(
 ) -> curlfit.JointResult:
     """Files of tracks, their table by the functions of `curlfit batch`, and its fit."""
     names = []
-    for place, throw in enumerate(throws):
-        file = folder / f"throw{place:02}.csv"
+    for number, throw in enumerate(throws):
+        file = folder / f"throw{number:02}.csv"
         rows = np.column_stack([throw.t, throw.x, throw.y])
         np.savetxt(file, rows, delimiter=",", header="t,x,y", comments="")
         names.append(str(file))
@@ -621,9 +623,9 @@ def row_of_many(case: Case, answers: Sequence[Answer]) -> list[object]:
 def rows_of_sampler(case: Case, seed: int) -> Iterator[list[object]]:
     """Quantiles by importance sampling, and how far those of the posterior are from
     them, in widths of the interval of 68 %."""
-    kind, place = SAMPLED[case.law]
+    kind, number = SAMPLED[case.law]
     like = Case(case.law, kind)
-    random = random_of(case, seed, place)
+    random = random_of(case, seed, number)
     _, throw = drawn_from_prior(like, random)
     while abs(throw.x[-1] - throw.x[0]) < CURLED:
         _, throw = drawn_from_prior(like, random)
@@ -647,8 +649,8 @@ def rows_of_sampler(case: Case, seed: int) -> Iterator[list[object]]:
     }
     for name, values in draws.items():
         expected = weighted_quantiles(values, sample.weights, shares)
-        given = np.array([posterior.quantiles[name][level] for level in QUANTILES])
-        off = (given - expected) / (expected[3] - expected[1])
+        quantiles = np.array([posterior.quantiles[name][level] for level in QUANTILES])
+        off = (quantiles - expected) / (expected[3] - expected[1])
         head = (f"`{case.law}`", case.kind)
         title = f"`{name}` by {sample.effective:.0f} effective draws"
         yield [*head, title, *(f"{value:.4g}" for value in expected)]

@@ -37,8 +37,8 @@ def recovery(throws: int) -> None:
     for name in LAWS:
         cells = []
         for weak in (True, False):
-            found, failed = counts(Case("", name, name, weak=weak), throws)
-            *inside, of = found["coefficients"]
+            tallies, failed = counts(Case("", name, name, weak=weak), throws)
+            *inside, of = tallies["coefficients"]
             levels = zip(inside, LEVELS.values(), strict=True)
             cells += [share(count, of, nominal) for count, (nominal, _) in levels]
         table.add(f"`{name}`", *cells, failed)
@@ -50,16 +50,17 @@ def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
     kind = curlfit.find_law(name)
     law = kind(
         **{
-            item.name: item.default * (1 if item.optional else random.uniform(0.9, 1.1))
-            for item in kind.coefficients()
+            coefficient.name: coefficient.default
+            * (1 if coefficient.optional else random.uniform(0.9, 1.1))
+            for coefficient in kind.coefficients()
         }
     )
-    found = []
+    throws = []
     for spin in SPINS:
         start = curlfit.InitialState(v=random.uniform(1.9, 2.2), omega=spin)
         path = curlfit.simulate(law, curlfit.Stone(), start, TIMES).to_numpy()
         noise = random.standard_normal((3, len(TIMES)))
-        found.append(
+        throws.append(
             curlfit.Throw.from_arrays(
                 TIMES,
                 path.x + 0.005 * noise[0],
@@ -68,7 +69,7 @@ def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
                 sigma={"x": 0.005, "y": 0.005, "phi": 0.01},
             )
         )
-    return found
+    return throws
 
 
 def confusion(sets: int) -> None:
@@ -83,16 +84,18 @@ def confusion(sets: int) -> None:
             near = 0
             for _ in range(sets):
                 throws = thrown(name, random)[:count]
-                found = curlfit.compare(throws[0] if count == 1 else throws)
-                first[found.best.law] += 1
+                comparison = curlfit.compare(throws[0] if count == 1 else throws)
+                first[comparison.best.law] += 1
                 near += any(
-                    one.law == name and one.rank and one.delta_bic <= 6
-                    for one in found.candidates
+                    candidate.law == name
+                    and candidate.rank
+                    and candidate.delta_bic <= 6
+                    for candidate in comparison.candidates
                 )
-            others = ", ".join(
+            rivals = ", ".join(
                 f"`{law}` {n}" for law, n in first.most_common() if law != name
             )
-            table.add(f"`{name}`", f"{first[name]} of {sets}", near, others)
+            table.add(f"`{name}`", f"{first[name]} of {sets}", near, rivals)
         title = (
             "One throw"
             if count == 1

@@ -100,21 +100,28 @@ def nested(fit: curlfit.FitResult, seed: int = 0) -> tuple[float, float, int]:
     likelihoods it took."""
     import dynesty
 
-    law = {item.name: item for item in fit.law_class.coefficients()}
-    priors, log_volume = [], 0.0
-    for name, item in fit.parameters.items():
+    law = {
+        coefficient.name: coefficient for coefficient in fit.law_class.coefficients()
+    }
+    priors = []
+    log_volume = 0.0
+    for name, estimate in fit.parameters.items():
         if name in law:
             sd = 3 * max(law[name].typical, abs(law[name].default))
-            priors.append(truncnorm(item.lower / sd, item.upper / sd, scale=sd).ppf)
+            priors.append(
+                truncnorm(estimate.lower / sd, estimate.upper / sd, scale=sd).ppf
+            )
         else:
-            reach = REACH * item.stderr
-            low = item.value - reach
+            reach = REACH * estimate.stderr
+            low = estimate.value - reach
             priors.append(lambda u, low=low, width=2 * reach: low + width * u)
             log_volume += np.log(2 * reach)
     likelihoods = by_row(fit)
 
     def transform(u: np.ndarray) -> np.ndarray:
-        return np.array([prior(one) for prior, one in zip(priors, u, strict=True)])
+        return np.array(
+            [prior(coordinate) for prior, coordinate in zip(priors, u, strict=True)]
+        )
 
     def likelihood(values: np.ndarray) -> float:
         total = float(likelihoods(values[None]).sum())
@@ -129,11 +136,11 @@ def nested(fit: curlfit.FitResult, seed: int = 0) -> tuple[float, float, int]:
         rstate=np.random.default_rng(seed),
     )
     sampler.run_nested(dlogz=0.1, print_progress=False)
-    found: Any = sampler.results
+    results: Any = sampler.results
     return (
-        float(found.logz[-1] + log_volume),
-        float(found.logzerr[-1]),
-        int(sum(found.ncall)),
+        float(results.logz[-1] + log_volume),
+        float(results.logzerr[-1]),
+        int(sum(results.ncall)),
     )
 
 
@@ -142,7 +149,8 @@ def importance_sampled(
 ) -> tuple[float, float]:
     """Log evidence of `front-back` and its error, from draws of the Gaussian about the
     optimum, of which mu1_eta - mu2_eta is drawn evenly along the ridge."""
-    random, size = np.random.default_rng(0), len(fit.parameters)
+    random = np.random.default_rng(0)
+    size = len(fit.parameters)
     # mu1_eta + mu2_eta in the place of both
     to_all = np.delete(np.eye(size), 3, axis=1)
     to_all[[2, 3], 2] = 0.5
@@ -162,9 +170,9 @@ def importance_sampled(
     logs = by_row(fit)(values[inside]).sum(1) - proposal.logpdf(steps)[inside]
     # 2 mu_sum, the range of the difference, times the Jacobian, 1/2
     logs += np.log(total[inside])
-    for column, item in enumerate(fit.law_class.coefficients()):
-        sd = 3 * max(item.typical, abs(item.default))
-        prior = truncnorm(item.lower / sd, item.upper / sd, scale=sd)
+    for column, coefficient in enumerate(fit.law_class.coefficients()):
+        sd = 3 * max(coefficient.typical, abs(coefficient.default))
+        prior = truncnorm(coefficient.lower / sd, coefficient.upper / sd, scale=sd)
         logs += prior.logpdf(values[inside, column])
     shares = np.exp(logs - logsumexp(logs))
     error = np.sqrt(max(float((shares**2).sum()) - 1 / draws, 0.0))
@@ -193,16 +201,16 @@ def psis(fit: curlfit.FitResult, draws: int = 4000, seed: int = 0) -> Psis:
         groups = {"posterior": {"first": some[None, :, 0]}, "log_likelihood": logs}
         old = arviz.__version__.startswith("0.")
         data = arviz.from_dict(**groups) if old else arviz.from_dict(groups)
-        found = arviz.loo(data, pointwise=True, reff=1.0)
+        loo = arviz.loo(data, pointwise=True, reff=1.0)
         names = ("elpd_loo", "p_loo", "loo_i") if old else ("elpd", "p", "elpd_i")
-        return Psis(*(getattr(found, name) for name in names), found.se, found.pareto_k)
+        return Psis(*(getattr(loo, name) for name in names), loo.se, loo.pareto_k)
 
 
 def closed_form(fit: curlfit.FitResult) -> LeaveOneOut:
     """That of curlfit."""
-    found = leave_one_out(fit)
-    assert found is not None
-    return found
+    loo = leave_one_out(fit)
+    assert loo is not None
+    return loo
 
 
 def main() -> None:
@@ -223,20 +231,21 @@ def main() -> None:
     )
     for case in CASES:
         fit = fitted(case)
-        own = log_evidence(fit, sum(log_likelihood(fit).values()))
-        other, error, calls = nested(fit)
+        by_curlfit = log_evidence(fit, sum(log_likelihood(fit).values()))
+        by_dynesty, error, calls = nested(fit)
         drawn = ""
         if case.fitted == "front-back":
             drawn = "{:.2f} ± {:.2f}".format(*importance_sampled(fit))
         evidence.add(
             case.title,
-            f"{own:.2f}",
-            f"{other:.2f} ± {error:.2f}",
-            f"{own - other:+.2f}",
+            f"{by_curlfit:.2f}",
+            f"{by_dynesty:.2f} ± {error:.2f}",
+            f"{by_curlfit - by_dynesty:+.2f}",
             calls,
             drawn,
         )
-        mine, sampled = closed_form(fit), psis(fit)
+        mine = closed_form(fit)
+        sampled = psis(fit)
         off = np.abs(mine.left_out - np.asarray(sampled.left_out)).max()
         pairs = (
             (getattr(mine, name), getattr(sampled, name))
@@ -244,7 +253,7 @@ def main() -> None:
         )
         loo.add(
             case.title,
-            *(f"{one:.2f}" for pair in pairs for one in pair),
+            *(f"{number:.2f}" for pair in pairs for number in pair),
             f"{float(sampled.pareto_k.max()):.2f}",
             f"{off:.3f}",
         )

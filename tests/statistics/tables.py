@@ -109,9 +109,9 @@ def put_merged(
 
 def reasons(found: Iterable[str]) -> str:
     """How often each reason occurs, the most frequent first; empty reasons are none."""
-    given = [reason for reason in found if reason]
-    often = sorted(set(given), key=lambda reason: (-given.count(reason), reason))
-    return ", ".join(f"{reason} {given.count(reason)}" for reason in often)
+    causes = [reason for reason in found if reason]
+    often = sorted(set(causes), key=lambda reason: (-causes.count(reason), reason))
+    return ", ".join(f"{reason} {causes.count(reason)}" for reason in often)
 
 
 def asked(description: str | None) -> argparse.Namespace:

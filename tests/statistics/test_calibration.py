@@ -27,8 +27,8 @@ import curlfit
 
 
 def line_of(name, text):
-    (found,) = [line for line in text.splitlines() if line.startswith(f"| {name} |")]
-    return [cell.strip() for cell in found.strip("|").split("|")]
+    (row,) = [line for line in text.splitlines() if line.startswith(f"| {name} |")]
+    return [cell.strip() for cell in row.strip("|").split("|")]
 
 
 def good(rank=50, held=(True, True), pull=0.5):
@@ -37,10 +37,19 @@ def good(rank=50, held=(True, True), pull=0.5):
 
 def test_laws_are_tried_in_their_own_bounds():
     for name, box in BOXES.items():
-        own = {item.name: item for item in curlfit.LAWS[name].coefficients()}
-        assert set(box) == {one for one, item in own.items() if not item.optional}
-        for one, (low, high) in box.items():
-            assert own[one].lower <= low < high <= own[one].upper
+        coefficients = {
+            coefficient.name: coefficient
+            for coefficient in curlfit.LAWS[name].coefficients()
+        }
+        assert set(box) == {
+            required
+            for required, coefficient in coefficients.items()
+            if not coefficient.optional
+        }
+        for symbol, (low, high) in box.items():
+            assert (
+                coefficients[symbol].lower <= low < high <= coefficients[symbol].upper
+            )
 
 
 def test_cells_are_marked_and_reasons_counted():
@@ -50,7 +59,7 @@ def test_cells_are_marked_and_reasons_counted():
         "80.0 %",
         "",
     ]
-    assert [reasons(found) for found in (["", "b", "a", "b"], ["", ""])] == [
+    assert [reasons(causes) for causes in (["", "b", "a", "b"], ["", ""])] == [
         "b 2, a 1",
         "",
     ]
@@ -101,8 +110,8 @@ def test_uneven_ranks_of_one_sense_are_seen(sense):
         if mine == sense:
             rank //= 2
         answers.append(Answer(mine, {"white": Outcome({"mu": good(rank)})}))
-    found = ranks_table(TRIALS["ranks coulomb"], answers)
-    _, _, _, left, right, *_ = line_of("mu", found)
+    text = ranks_table(TRIALS["ranks coulomb"], answers)
+    _, _, _, left, right, *_ = line_of("mu", text)
     assert ("(!)" in left, "(!)" in right) == (sense == 1, sense == -1)
     assert re.search(
         r"\| coulomb \| uniform \| 200 \| 200 \| 0 \| \d of 7 \|",
@@ -141,9 +150,9 @@ def test_noise_says_pulls_and_warnings():
 
 
 def test_small_samples_count_both_intervals_and_outliers():
-    item = Quantity(2.1, (False, True))
+    quantity = Quantity(2.1, (False, True))
     answers = [
-        Answer(1, {"white": Outcome({"mu": item}, outliers=int(k == 0))})
+        Answer(1, {"white": Outcome({"mu": quantity}, outliers=int(k == 0))})
         for k in range(50)
     ]
     text = small_table(TRIALS["small coulomb 12"], answers)
@@ -153,9 +162,9 @@ def test_small_samples_count_both_intervals_and_outliers():
 
 def test_a_throw_depends_on_its_number_alone(monkeypatch):
     trial = TRIALS["small coulomb 12"]
-    one = answer(trial, 3)
-    assert one == answer(trial, 3) != answer(trial, 4)
-    assert counted([one])[0].quantities["mu"].held
+    of_throw = answer(trial, 3)
+    assert of_throw == answer(trial, 3) != answer(trial, 4)
+    assert counted([of_throw])[0].quantities["mu"].held
 
     def refuse(*_, **__):
         raise curlfit.UnusableFitError("no")

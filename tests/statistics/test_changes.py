@@ -18,9 +18,9 @@ THROWS = 20
 )
 def test_smooth_residuals_are_no_change(title):
     (case,) = [case for case in CASES if case.title == title]
-    fitted, doubtful, told, _ = counts(case, THROWS)
+    fitted, doubtful, changed, _ = counts(case, THROWS)
     assert doubtful == fitted == THROWS
-    assert told == 0
+    assert changed == 0
 
 
 @pytest.mark.parametrize(
@@ -29,6 +29,6 @@ def test_smooth_residuals_are_no_change(title):
 )
 def test_changes_are_found_when_they_were(title):
     (case,) = [case for case in CASES if case.title == title]
-    _, _, told, near = counts(case, THROWS)
-    assert near == told
-    assert told > 0.7 * THROWS
+    _, _, changed, near = counts(case, THROWS)
+    assert near == changed
+    assert changed > 0.7 * THROWS

@@ -61,7 +61,10 @@ def test_truths_are_drawn_from_the_bounds_of_their_fit(kind):
     for law in LAWS_BY_SET[kind]:
         case = Case(law, kind)
         coefficients = curlfit.LAWS[law].coefficients()
-        limits = {item.name: (item.lower, item.upper) for item in coefficients}
+        limits = {
+            coefficient.name: (coefficient.lower, coefficient.upper)
+            for coefficient in coefficients
+        }
         assert list(case.box) == list(limits)
         for name, (low, high) in case.box.items():
             lower, upper = limits[name]
@@ -104,11 +107,13 @@ def test_a_draw_ends_at_the_tee_having_turned_by_the_angle():
         return simulated("power+transverse", TRANSVERSE, v0, omega0, until)[:, -1]
 
     # by bisection: the speed first, which hardly depends on the spin
-    slow, fast = 1.5, 3.0
+    slow = 1.5
+    fast = 3.0
     for _ in range(40):
         v0 = (slow + fast) / 2
         slow, fast = (v0, fast) if end(v0, 0.6)[1] < TO_TEE else (slow, v0)
-    low, high = 0.1, 3.0
+    low = 0.1
+    high = 3.0
     for _ in range(40):
         omega0 = (low + high) / 2
         low, high = (omega0, high) if end(v0, omega0)[2] < angle else (low, omega0)

@@ -20,10 +20,12 @@ def test_log_evidence_is_that_of_nested_sampling_in_the_table(case):
     ]
     expected, error = map(float, line.split("|")[3].split("±"))
     fit = fitted(case)
-    found = log_evidence(fit, sum(log_likelihood(fit).values()))
-    assert found == pytest.approx(expected, abs=3 * error)
+    evidence = log_evidence(fit, sum(log_likelihood(fit).values()))
+    assert evidence == pytest.approx(expected, abs=3 * error)
     at_bound = [
-        name for name, item in fit.parameters.items() if item.verdict == "at bound"
+        name
+        for name, estimate in fit.parameters.items()
+        if estimate.verdict == "at bound"
     ]
     assert at_bound == (["mu1_xi"] if "bound" in case.title else [])
 
@@ -33,17 +35,18 @@ def test_log_evidence_is_that_of_nested_sampling_in_the_table(case):
 def test_log_evidence_against_nested_sampling(case):
     fit = fitted(case)
     expected, error, _ = nested(fit, seed=1)
-    found = log_evidence(fit, sum(log_likelihood(fit).values()))
-    assert found == pytest.approx(expected, abs=3 * error)
+    evidence = log_evidence(fit, sum(log_likelihood(fit).values()))
+    assert evidence == pytest.approx(expected, abs=3 * error)
 
 
 @pytest.mark.slow
 @each
 def test_leave_one_out_against_importance_sampling(case):
     fit = fitted(case)
-    found, expected = closed_form(fit), psis(fit, seed=1)
+    leave_one_out = closed_form(fit)
+    expected = psis(fit, seed=1)
     assert float(expected.pareto_k.max()) < 0.7
-    assert found.elpd == pytest.approx(expected.elpd, abs=0.3)
-    assert found.stderr == pytest.approx(expected.stderr, rel=0.02)
-    assert found.p_loo == pytest.approx(expected.p_loo, abs=0.3)
-    np.testing.assert_allclose(found.left_out, expected.left_out, atol=0.1)
+    assert leave_one_out.elpd == pytest.approx(expected.elpd, abs=0.3)
+    assert leave_one_out.stderr == pytest.approx(expected.stderr, rel=0.02)
+    assert leave_one_out.p_loo == pytest.approx(expected.p_loo, abs=0.3)
+    np.testing.assert_allclose(leave_one_out.left_out, expected.left_out, atol=0.1)

@@ -26,13 +26,13 @@ def season_without_angle(tmp_path_factory):
     random = np.random.default_rng(3)
     times = np.linspace(0.0, 18.0, 91)
     (folder / "tracks").mkdir()
-    for place in range(8):
-        spin = random.uniform(0.7, 1.6) * (-1) ** place
+    for number in range(8):
+        spin = random.uniform(0.7, 1.6) * (-1) ** number
         v0 = random.uniform(2.0, 2.3)
         path = simulated("power+transverse", TRANSVERSE, v0, spin, times)
         x, y = path[:2] + 0.005 * random.standard_normal((2, len(times)))
         np.savetxt(
-            folder / "tracks" / f"t{place}.csv",
+            folder / "tracks" / f"t{number}.csv",
             np.column_stack([times, x, y]),
             delimiter=",",
             header="t,x,y",
@@ -48,22 +48,22 @@ def test_throws_without_an_angle_tell_no_coefficient_of_the_spin(season_without_
     standard errors from the truth."""
     folder, ran = season_without_angle
     assert ran.returncode == 0
-    found = curlfit.load_joint(folder / "s-fit")
-    b = found.coefficients["b"]
+    season = curlfit.load_joint(folder / "s-fit")
+    b = season.coefficients["b"]
     assert b.verdict in ("weak", "not identifiable")
     assert b.stderr is None or abs(b.value - TRANSVERSE["b"]) < 2 * b.stderr
     for name in ("c", "k"):
-        item = found.coefficients[name]
-        assert item.verdict == "determined"
-        assert abs(item.value - TRANSVERSE[name]) < 3 * item.stderr
-    (warning,) = found.warnings
+        coefficient = season.coefficients[name]
+        assert coefficient.verdict == "determined"
+        assert abs(coefficient.value - TRANSVERSE[name]) < 3 * coefficient.stderr
+    (warning,) = season.warnings
     assert warning.code == "left-open"
     assert warning.numbers["left"] == [{"count": 8, "names": ["b"]}]
     assert str(warning).startswith("8 of 8 throws leave b open: values far apart")
     assert "`--fix omega0=...`" in str(warning)
     assert "8 of 8 throws leave b open" in ran.stdout
     # nor of the curl of a draw
-    assert "curl" not in {one.parameter for one in found.groups}
+    assert "curl" not in {effect.parameter for effect in season.groups}
 
 
 def test_rows_say_what_their_ridge_leaves(season_without_angle):
@@ -90,11 +90,11 @@ def tracks_alike():
     random = np.random.default_rng(4)
     times = np.linspace(0.0, 18.0, 91)
     throws = []
-    for place in range(4):
+    for number in range(4):
         path = simulated("front-back", FRONT_BACK, 2.1, 1.2, times)
         x, y = path[:2] + 0.005 * random.standard_normal((2, len(times)))
         sigma = {"x": 0.005, "y": 0.005}
-        name = f"t{place}.csv"
+        name = f"t{number}.csv"
         throws.append(
             curlfit.Throw.from_arrays(times, x=x, y=y, sigma=sigma, name=name)
         )
@@ -115,35 +115,40 @@ def test_no_curl_is_told_that_depends_on_an_open_coefficient(
     monkeypatch.setattr(summary, "_ROUGH", np.inf)
     season = season_on_disk("front-back", tracks_alike, tmp_path)
     assert season.coefficients["mu1_xi"].verdict == "weak"
-    told = {effect.parameter for effect in season.groups}
-    assert "curl" not in told
-    assert "hog_to_hog" in told
+    quantities = {effect.parameter for effect in season.groups}
+    assert "curl" not in quantities
+    assert "hog_to_hog" in quantities
 
 
 def test_what_is_told_of_several_throws_holds_along_their_ridge(evening_without_angle):
     """To first order about the optimum, sums with a thousandth of mu1_xi were known to
     2e-6, and 4 and 6 standard errors from the truth."""
-    found = evening_without_angle
+    joint = evening_without_angle
     for name in ("mu1_xi", "mu2_xi"):
-        assert found.coefficients[name].verdict in ("weak", "at bound")
-    assert found.combinations
-    for item in found.combinations:
-        truth = sum(FRONT_BACK[name] * weight for name, weight in item.weights.items())
-        assert abs(item.value - truth) < 3 * item.stderr
+        assert joint.coefficients[name].verdict in ("weak", "at bound")
+    assert joint.combinations
+    for combination in joint.combinations:
+        truth = sum(
+            FRONT_BACK[name] * weight for name, weight in combination.weights.items()
+        )
+        assert abs(combination.value - truth) < 3 * combination.stderr
     assert any(
-        {"mu1_eta", "mu2_eta"} <= item.weights.keys() for item in found.combinations
+        {"mu1_eta", "mu2_eta"} <= combination.weights.keys()
+        for combination in joint.combinations
     )
 
 
 def test_each_alone_is_the_fit_of_the_throw(evening_without_angle):
-    found = evening_without_angle
-    for variation in found.variation:
+    joint = evening_without_angle
+    for variation in joint.variation:
         assert variation.p_value > 0.01
-    one = next(item for item in found.variation if item.expression == "mu1_xi")
-    for throw, alone in zip(found.throws, one.each, strict=True):
+    mu1_variation = next(
+        variation for variation in joint.variation if variation.expression == "mu1_xi"
+    )
+    for throw, alone in zip(joint.throws, mu1_variation.each, strict=True):
         fit = curlfit.fit(throw.throw, law="front-back")
-        item = fit["mu1_xi"]
+        estimate = fit["mu1_xi"]
         assert alone is not None
         # a batch stops at another tolerance, and the ridge is flat
-        assert alone[0] == pytest.approx(item.value, abs=0.2 * alone[1])
+        assert alone[0] == pytest.approx(estimate.value, abs=0.2 * alone[1])
         assert alone[1] > 0.005

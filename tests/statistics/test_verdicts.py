@@ -25,9 +25,9 @@ def test_paths_are_those_of_curlfit(law, sense):
     start = curlfit.InitialState(v=v0, omega=omega0)
     stone = curlfit.Stone()
     path = curlfit.simulate(curlfit.LAWS[law](**coefficients), stone, start, TIMES)
-    places = np.stack([path.x, path.y, path.phi])
+    motion = np.stack([path.x, path.y, path.phi])
     peer = simulated(law, coefficients, v0, omega0, TIMES)
-    assert np.abs(places - peer).max() < FARTHEST
+    assert np.abs(motion - peer).max() < FARTHEST
 
 
 @pytest.mark.parametrize(

@@ -354,12 +354,19 @@ def rows_of_design(law: str, kind: str, number: int, seed: int) -> list[list[obj
         if size is None:
             continue
         name = form(expression)
-        given = [errors[name] for errors in errors_by_fit if name in errors]
-        determined = sum(error.verdict == "determined" for error in given)
-        ratio = size / np.median([error.size for error in given]) if given else None
+        stated_errors = [errors[name] for errors in errors_by_fit if name in errors]
+        determined = sum(error.verdict == "determined" for error in stated_errors)
+        ratio = (
+            size / np.median([error.size for error in stated_errors])
+            if stated_errors
+            else None
+        )
         verdict = expected.verdicts.get(expression, "determined")
         quantity = [f"`{law}`", kind, f"`{name}`", verdict, f"{size:.2g}"]
-        counts = [f"{len(given)} of {len(fits)}", f"{determined} of {len(fits)}"]
+        counts = [
+            f"{len(stated_errors)} of {len(fits)}",
+            f"{determined} of {len(fits)}",
+        ]
         rows.append([*quantity, *counts, "" if ratio is None else f"{ratio:.2f}"])
     return rows
 

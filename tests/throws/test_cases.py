@@ -309,6 +309,6 @@ def test_the_friction_of_an_evening() -> None:
     assert constant.value == pytest.approx(0.009284, abs=5.4e-5)
     assert constant.stderr == pytest.approx(5.4e-5, rel=0.3)
     joint = curlfit.fit_together(throws)
-    friction = next(one for one in joint.groups if one.parameter == "friction")
+    friction = next(effect for effect in joint.groups if effect.parameter == "friction")
     assert abs(friction.value - constant.value) < 1.5 * friction.stderr
     assert friction.stderr < 5e-4

@@ -80,11 +80,11 @@ def test_what_is_said_of_it():
 
 
 def test_check_describes_it():
-    said = invoke(["check", CASE]).stdout
-    in_one_line = " ".join(said.split())
+    output = invoke(["check", CASE]).stdout
+    in_one_line = " ".join(output.split())
     begin = f"{CASE.name}: curling-stone-tracker, 55 rows, t = 3.4 .. 21.4"
     assert begin in in_one_line
-    assert "position_history.y  y         ft    0.3048" in said
+    assert "position_history.y  y         ft    0.3048" in output
 
 
 def test_a_fit_of_it_finds_what_the_track_determines():
@@ -100,12 +100,12 @@ def test_a_fit_of_it_finds_what_the_track_determines():
 def test_a_throw_the_other_way_is_the_same_throw(read):
     def turned(stones: list[dict]) -> None:
         for stone in stones:
-            places = stone["position_history"]
-            stone["position_history"] = [[-x, -y] for x, y in places]
+            positions = stone["position_history"]
+            stone["position_history"] = [[-x, -y] for x, y in positions]
 
     throw = read(turned)
-    there = load_throw(CASE)
-    np.testing.assert_allclose(throw.observed, there.observed, atol=1e-12)
+    original = load_throw(CASE)
+    np.testing.assert_allclose(throw.observed, original.observed, atol=1e-12)
     assert note_on(throw, "feet-from-the-centre").numbers == {"toward": "-y"}
 
 
@@ -138,10 +138,10 @@ def test_first_rows_as_the_tracker_writes_them(read):
 
 def test_rows_that_the_tracker_made_are_left_out(write):
     throw = load_throw(write(json.dumps(video()), "video.json"))
-    seen = (T <= 2.5) | (T >= 6)
-    np.testing.assert_allclose(throw.t, T[seen])
-    np.testing.assert_allclose(throw.x, X[seen] + 1.0)
-    np.testing.assert_allclose(throw.y, Y[seen] + 10.0)
+    in_sight = (T <= 2.5) | (T >= 6)
+    np.testing.assert_allclose(throw.t, T[in_sight])
+    np.testing.assert_allclose(throw.x, X[in_sight] + 1.0)
+    np.testing.assert_allclose(throw.y, Y[in_sight] + 10.0)
     assert note_on(throw, "extrapolated-by-the-tracker").numbers == {"count": 2}
 
 
@@ -163,8 +163,8 @@ def test_a_stone_at_rest_is_no_throw(read):
 def shifted(stone: dict, seconds: float = 0.0, feet: float = 0.0) -> None:
     """Move a stone of the file in time and along the sheet."""
     stone["time_history"] = [time + seconds for time in stone["time_history"]]
-    places = stone["position_history"]
-    stone["position_history"] = [[x, y + feet] for x, y in places]
+    positions = stone["position_history"]
+    stone["position_history"] = [[x, y + feet] for x, y in positions]
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,8 @@ def test_two_throws_of_one_color_in_one_video(write):
     file = write(
         json.dumps({"stones": [*again, lost_and_found, *stones]}), "video.json"
     )
-    first, second = load_throw(file, stone_index=1), load_throw(file, stone_index=2)
+    first = load_throw(file, stone_index=1)
+    second = load_throw(file, stone_index=2)
     assert note_on(first, "pieces-joined").numbers["gaps"][0]["since"] == 4.5
     np.testing.assert_allclose(second.t, first.t[: len(second)] + 30)
     np.testing.assert_allclose(second.y, first.y[: len(second)])
@@ -266,15 +267,15 @@ def seen_at_the_ends(way: np.ndarray, chance: np.random.Generator) -> list[dict]
     stones = []
     filters: list[Filter] = []
     last = -np.inf
-    for time, *place in way:
-        in_sight = 36 <= abs(place[1]) <= 63 and chance.random() > 0.02
+    for time, *position in way:
+        in_sight = 36 <= abs(position[1]) <= 63 and chance.random() > 0.02
         if in_sight:
-            seen = np.add(place, 0.07 * chance.normal(size=2)).tolist()
+            measured = np.add(position, 0.07 * chance.normal(size=2)).tolist()
             if time - last > 1.0:
-                filters = [Filter(value) for value in seen]
-                stones.append(tracked("red", [time], [seen]))
+                filters = [Filter(value) for value in measured]
+                stones.append(tracked("red", [time], [measured]))
             else:
-                for axis, value in zip(filters, seen, strict=True):
+                for axis, value in zip(filters, measured, strict=True):
                     axis.update(value)
             last = time
         if time - last <= 1.0:

@@ -20,19 +20,19 @@ def worker(folder: Path, seed: int, count: int, *what: str) -> dict:
 
 
 def test_damaged_files_are_read_or_refused(tmp_path):
-    found = worker(tmp_path, 2, 150)
-    assert found["faults"] == []
-    assert sum(found["statuses"].values()) == 150
-    assert found["statuses"]["0"] > 8
-    assert found["statuses"]["2"] > 40
+    tally = worker(tmp_path, 2, 150)
+    assert tally["faults"] == []
+    assert sum(tally["statuses"].values()) == 150
+    assert tally["statuses"]["0"] > 8
+    assert tally["statuses"]["2"] > 40
 
 
 def test_odd_grids_of_spreadsheets_are_read_or_refused(tmp_path):
     pytest.importorskip("python_calamine")
-    found = worker(tmp_path, 1, 60, "grids")
-    assert found["faults"] == []
-    assert found["statuses"]["0"] > 3
-    assert found["statuses"]["2"] > 20
+    tally = worker(tmp_path, 1, 60, "grids")
+    assert tally["faults"] == []
+    assert tally["statuses"]["0"] > 3
+    assert tally["statuses"]["2"] > 20
 
 
 def test_a_fault_would_be_seen():
@@ -48,6 +48,6 @@ def test_a_fault_would_be_seen():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 20))
 def test_many_damaged_files_are_read_or_refused(tmp_path, seed):
-    found = worker(tmp_path, seed, 2000, *["grids"] * (seed % 2))
-    print(json.dumps(found))
-    assert found["faults"] == []
+    tally = worker(tmp_path, seed, 2000, *["grids"] * (seed % 2))
+    print(json.dumps(tally))
+    assert tally["faults"] == []

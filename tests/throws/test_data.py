@@ -18,7 +18,8 @@ def test_eq_12_starts_and_ends_as_checked():
     # eq. 13 prints 0, 2 m/s, 1 1/s; differentiating eq. 12 gives -0.00028,
     # 2.062, 1.0052
     h = 1e-5
-    now, later = paper.jensen_shegelski(0.0), paper.jensen_shegelski(h)
+    now = paper.jensen_shegelski(0.0)
+    later = paper.jensen_shegelski(h)
     assert float(later.x - now.x) / h == pytest.approx(-0.00028, abs=2e-5)
     assert float(later.y - now.y) / h == pytest.approx(2.062, abs=1e-3)
     assert float(later.phi - now.phi) / h == pytest.approx(1.0052, abs=1e-4)

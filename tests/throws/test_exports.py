@@ -155,7 +155,7 @@ def test_points_of_a_network():
     throw = load_throw(file, units="t=10fps,length=m")
     agrees(throw, first=2)
     objects = note_on(throw, "one-of-objects").numbers["objects"]
-    assert [item["name"] for item in objects] == ["stone", "handle"]
+    assert [point["name"] for point in objects] == ["stone", "handle"]
     agrees(load_throw(file, units="t=10fps,length=m", handle=2), first=2, phi=True)
     other = load_throw(file, units="t=10fps,length=m", stone_index=2)
     assert np.hypot(other.x - throw.x, other.y - throw.y) == pytest.approx(
@@ -203,19 +203,19 @@ def test_unlikely_points_are_gaps(write):
 
 def test_a_point_on_the_handle_gives_the_angle(write):
     """An unlikely one leaves a gap of the angle alone."""
-    places = marked_stone()
+    positions = marked_stone()
     likely = np.ones(N)
     of_handle = np.where(np.arange(N) == 30, 0.1, 1.0)
     text = deeplabcut(
-        ("stone", *project(places["x"], places["y"]), likely),
-        ("handle", *project(places["x_mark"], places["y_mark"]), of_handle),
+        ("stone", *project(positions["x"], positions["y"]), likely),
+        ("handle", *project(positions["x_mark"], positions["y_mark"]), of_handle),
     )
     points = write(known_points(), "points.csv")
     throw = load_throw(write(text), units="t=4fps", reference=points, handle=2)
     is_throw(throw, phi=False, atol=1e-5)
     assert np.flatnonzero(np.isnan(throw.phi)).tolist() == [30]
-    seen = np.isfinite(throw.phi)
-    difference = (throw.phi - throw.phi[0] - PHI + PHI[0])[seen]
+    has_angle = np.isfinite(throw.phi)
+    difference = (throw.phi - throw.phi[0] - PHI + PHI[0])[has_angle]
     np.testing.assert_allclose(difference, 0.0, atol=1e-3)
     assert note_on(throw, "unlikely-positions").numbers["column"] == 7
 
@@ -231,7 +231,7 @@ def test_points_of_several_individuals(write):
     throw = load_throw(write(text), units="t=4fps,length=m", stone_index=2)
     is_throw(throw, 0.5, phi=False, atol=1e-7)
     note = note_on(throw, "one-of-objects").numbers
-    names = [item["name"] for item in note["objects"]]
+    names = [point["name"] for point in note["objects"]]
     assert names == ["red centre", "yellow centre", "single tee"]
 
 
@@ -245,7 +245,7 @@ def test_a_rigid_body_and_a_marker(write):
     is_angle(throw)
     assert has_note(throw, "y-points-up")
     objects = note_on(throw, "one-of-objects").numbers["objects"]
-    assert [item["name"] for item in objects] == [
+    assert [tracked["name"] for tracked in objects] == [
         "Stone (rigid body)",
         "Stone:Handle (marker)",
     ]
@@ -280,12 +280,13 @@ def test_a_rotation_about_the_vertical_axis_is_the_angle(
 ):
     """Whatever the attitude of the axes of the body, and the axes of the export."""
     height = np.full(N, 0.11)
-    places = [(X, Y)[k] if k is not None else height for k in axes_of_file]
+    coordinates = [(X, Y)[k] if k is not None else height for k in axes_of_file]
     axis = np.eye(3)[vertical]
     turned = Rotation.from_rotvec(PHI[:, None] * axis) * ATTITUDE
     names = ["X", "Y", "Z", "X handle", "Y handle", "Z handle"]
     columns = {
-        name: 1000 * place for name, place in zip(names, places * 2, strict=True)
+        name: 1000 * coordinate
+        for name, coordinate in zip(names, coordinates * 2, strict=True)
     }
     throw = load_throw(write(optitrack(columns, turned.as_quat())), **choices)
     is_throw(throw, phi=False, atol=1e-8)
@@ -295,8 +296,11 @@ def test_a_rotation_about_the_vertical_axis_is_the_angle(
 def test_the_other_axis_may_be_along_the_sheet(write):
     height = np.full(N, 0.11)
     names = ["X", "Y", "Z", "X handle", "Y handle", "Z handle"]
-    places = [-X, height, Y] * 2  # Z along, X to the left
-    columns = {name: 1000 * place for name, place in zip(names, places, strict=True)}
+    coordinates = [-X, height, Y] * 2  # Z along, X to the left
+    columns = {
+        name: 1000 * coordinate
+        for name, coordinate in zip(names, coordinates, strict=True)
+    }
     throw = load_throw(write(optitrack(columns)), axes="x-along")
     is_throw(throw, phi=False, atol=1e-8)
     is_angle(throw)
@@ -329,7 +333,7 @@ def test_trajectories_of_markers(write):
     throw = load_throw(file)
     is_throw(throw, later=0.25, phi=False, atol=1e-8)
     objects = note_on(throw, "one-of-objects").numbers["objects"]
-    assert [item["name"] for item in objects] == ["stone:centre", "stone:handle"]
+    assert [marker["name"] for marker in objects] == ["stone:centre", "stone:handle"]
     is_angle(load_throw(file, handle=2))
 
 
@@ -385,10 +389,10 @@ def test_markers_without_headings_or_times(write):
 
 def test_a_unit_of_a_table_with_a_mark_is_proposed(write):
     """By the length of the path, where the mark would be 100 m from the stone."""
-    places = marked_stone() | {"t": T}
+    series = marked_stone() | {"t": T}
     header = "x,y,x_mark,y_mark,t"
     for unit, factor in (("mm", 1000.0), ("cm", 100.0), ("in", 1 / 0.0254)):
-        scaled = [factor * places[name] for name in header.split(",")[:4]]
+        scaled = [factor * series[name] for name in header.split(",")[:4]]
         rows = "\n".join(
             ",".join(f"{value:.9g}" for value in row)
             for row in zip(*scaled, T, strict=True)

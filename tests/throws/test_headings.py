@@ -90,23 +90,23 @@ def test_the_user_names_columns(write):
     file = write(
         written("When;Off;Far (m);Turned (deg);x;phi", T, X, Y, DEGREES, 0 * T, 0 * T)
     )
-    given = {"t": "when", "x": "Off", "y": "far", "angle": "Turned (deg)"}
-    is_throw(load_throw(file, columns=given))
+    names = {"t": "when", "x": "Off", "y": "far", "angle": "Turned (deg)"}
+    is_throw(load_throw(file, columns=names))
     lines = "".join(
-        f'# columns.{key} = "{heading}"\n' for key, heading in given.items()
+        f'# columns.{key} = "{heading}"\n' for key, heading in names.items()
     )
-    own = write(lines + file.read_text(), "own.csv")
-    throw = load_throw(own)
+    annotated_file = write(lines + file.read_text(), "own.csv")
+    throw = load_throw(annotated_file)
     is_throw(throw)
     assert "columns" not in throw.defaults
     words = [
         "--columns",
-        ", ".join(f"{key}={heading}" for key, heading in given.items()),
+        ", ".join(f"{key}={heading}" for key, heading in names.items()),
     ]
     ran = command("check", file, *words, cwd=file.parent)
     assert ran.returncode == 0, ran.stderr
     assert "Turned (deg)  phi       deg" in ran.stdout
-    again = load_throw(file, columns=given, units="t=ms")
+    again = load_throw(file, columns=names, units="t=ms")
     np.testing.assert_allclose(again.t, T / 1000)
     frame = {"when": T, "off": X, "far": Y, "phi": PHI}
     is_throw(Throw.from_frame(frame, columns={"t": "when", "x": "off", "y": "far"}))
@@ -173,13 +173,13 @@ def test_a_unit_that_is_not_known_is_never_taken_for_another(write):
 
 def test_what_cannot_be_one_of_ours_is_not_proposed(write):
     """A component of the velocity, an acceleration, text, or one axis of two."""
-    others = "velocity x;acceleration (m/s^2);twist;weight"
+    unused_headings = "velocity x;acceleration (m/s^2);twist;weight"
     rows = "".join(f"{k / 10};2;{k};1;out;5\n" for k in range(20))
-    throw = load_throw(write(f"t;speed;{others}\n{rows}"))
+    throw = load_throw(write(f"t;speed;{unused_headings}\n{rows}"))
     (note,) = throw.notes
     assert (note.code, note.numbers["columns"]) == (
         "columns-ignored",
-        others.split(";"),
+        unused_headings.split(";"),
     )
     rows = "".join(f"{k / 10};{k / 9};1\n" for k in range(20))
     (note,) = load_throw(write(f"t;phi;distance\n{rows}")).notes

@@ -15,7 +15,8 @@ from tests.sample_files import KNOWN, has_note, known_points, note_on, project, 
 
 PLACES = np.array([[0.0, 1.0, -1.5], [5.0, 20.0, 27.0]])
 T = np.linspace(0.0, 20.0, 60)
-X, Y = 0.002 * T**2, 2.2 * T - 0.05 * T**2
+X = 0.002 * T**2
+Y = 2.2 * T - 0.05 * T**2
 ROWS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T})
 
 
@@ -48,19 +49,22 @@ def by_scipy(pixels, metres):
 
 
 def test_the_errors_of_the_map_are_those_of_the_least_squares():
-    found, other = homography(clicked(), KNOWN), by_scipy(clicked(), KNOWN)
-    variance = (other.fun @ other.fun) / (2 * KNOWN.shape[1] - 8)
-    covariance = np.linalg.inv(other.jac.T @ other.jac) * variance
-    pixels = np.linalg.inv(found.matrix) @ np.stack([*PLACES, np.ones(3)])
+    fitted_map = homography(clicked(), KNOWN)
+    optimum = by_scipy(clicked(), KNOWN)
+    variance = (optimum.fun @ optimum.fun) / (2 * KNOWN.shape[1] - 8)
+    covariance = np.linalg.inv(optimum.jac.T @ optimum.jac) * variance
+    pixels = np.linalg.inv(fitted_map.matrix) @ np.stack([*PLACES, np.ones(3)])
 
     def places(elements):
         x, y, w = np.linalg.inv(np.append(elements, 1.0).reshape(3, 3)) @ pixels
         return np.stack([x, y]) / w
 
-    steps = np.diag(1e-6 * np.abs(other.x))
-    slope = [(places(other.x + h) - places(other.x - h)) / (2 * h.sum()) for h in steps]
+    steps = np.diag(1e-6 * np.abs(optimum.x))
+    slope = [
+        (places(optimum.x + h) - places(optimum.x - h)) / (2 * h.sum()) for h in steps
+    ]
     expected = np.einsum("icn,ij,jcn->cn", slope, covariance, slope)
-    moved = displacements(found.errors, *PLACES)
+    moved = displacements(fitted_map.errors, *PLACES)
     np.testing.assert_allclose((moved**2).sum(0), expected, rtol=1e-3)
 
 
@@ -101,15 +105,17 @@ def test_the_weight_of_a_row_does_not_depend_on_its_noise(write):
     "axes", ["x-along,y-right", "x-back,y-left,from-tee", "y-back,x-left"]
 )
 def test_the_errors_follow_the_axes(write, axes):
-    rows, points = write(ROWS), write(known_points(noise=1.0), "points.csv")
+    rows = write(ROWS)
+    points = write(known_points(noise=1.0), "points.csv")
     plain = load_throw(rows, reference=points)
     turned = load_throw(rows, reference=points, axes=axes, as_given=True)
     to_sheet = parse_axes(axes).to_sheet
     dx, dy = displacements(plain.calibration, plain.x, plain.y).transpose(1, 0, 2)
-    moved, here = to_sheet(plain.x + dx, plain.y + dy), to_sheet(plain.x, plain.y)
-    expected = np.stack([a - b for a, b in zip(moved, here, strict=True)], 1)
-    found = displacements(turned.calibration, turned.x, turned.y)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
+    moved = to_sheet(plain.x + dx, plain.y + dy)
+    unmoved = to_sheet(plain.x, plain.y)
+    expected = np.stack([a - b for a, b in zip(moved, unmoved, strict=True)], 1)
+    errors = displacements(turned.calibration, turned.x, turned.y)
+    np.testing.assert_allclose(errors, expected, rtol=1e-6, atol=1e-12)
 
 
 LINES = np.array([[x, y] for y in (0.0, 8.0, 17.0, 27.0) for x in (-2.1, 0.0, 2.1)]).T
@@ -129,8 +135,8 @@ def listed(pixels, places):
 
 def test_a_point_listed_twice_is_one(write):
     corners = [0, 2, 9, 11]
-    for name, places in (("once", corners), ("twice", [0, *corners])):
-        points = write(listed(seen(1)[:, places], LINES[:, places]), f"{name}.csv")
+    for name, indices in (("once", corners), ("twice", [0, *corners])):
+        points = write(listed(seen(1)[:, indices], LINES[:, indices]), f"{name}.csv")
         throw = load_throw(write(ROWS), reference=points)
         assert throw.calibration is None
         assert has_note(throw, "pixels-to-metres-by-four-points")

@@ -221,8 +221,12 @@ def test_a_table_in_place_of_times_is_sent_to_from_frame():
 
 
 def test_columns_that_are_not_read_may_hold_anything():
-    others = {"stone": "red", "shape": [[1], [1, 2]], "picture": np.zeros((2, 3))}
-    throw = Throw.from_frame({"t": T, "x": X, "y": Y, **others})
+    unread_columns = {
+        "stone": "red",
+        "shape": [[1], [1, 2]],
+        "picture": np.zeros((2, 3)),
+    }
+    throw = Throw.from_frame({"t": T, "x": X, "y": Y, **unread_columns})
     np.testing.assert_array_equal(throw.x, X)
 
 
@@ -233,7 +237,9 @@ STATES = {"t": DATES, "x": [None, *X[1:]], "y": Y, "who": list("abcdef")}
 
 def numpy_records():
     records = np.empty(6, [("t", "M8[us]"), ("x", float), ("y", float)])
-    records["t"], records["x"], records["y"] = DATES, [np.nan, *X[1:]], Y
+    records["t"] = DATES
+    records["x"] = [np.nan, *X[1:]]
+    records["y"] = Y
     return records
 
 

@@ -14,7 +14,8 @@ from curlfit.throws.channels import scatter
 from curlfit.throws.motion import final_speed, first_row_at_rest, path_of
 from curlfit.throws.report import facts
 
-SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
+SLOWING = 0.1  # m/s^2
+SPEED = 2.0  # m/s: at rest after 20 s and 20 m
 
 
 def stone(t, noise=0.0, seed=0):
@@ -48,10 +49,10 @@ def ending(power, until, noise, dt, seed):
     t = np.arange(random.uniform(0, dt), until, dt)
     left = np.maximum(1 - t / 20, 0)
     along = SPEED * 20 / (power + 1) * (1 - left ** (power + 1))
-    places = np.stack([0.03 * along, along]) + noise * random.standard_normal(
+    track = np.stack([0.03 * along, along]) + noise * random.standard_normal(
         (2, len(t))
     )
-    return Throw.from_arrays(t, *places), np.hypot(1, 0.03) * SPEED * left[-1] ** power
+    return Throw.from_arrays(t, *track), np.hypot(1, 0.03) * SPEED * left[-1] ** power
 
 
 def test_a_throw_cut_off_is_not_at_rest():
@@ -64,11 +65,11 @@ def test_a_throw_cut_off_is_not_at_rest():
     ):
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(4):
-            made, last = ending(power, until, noise, dt, seed)
-            rows = path_of(made)
+            cut_throw, last = ending(power, until, noise, dt, seed)
+            rows = path_of(cut_throw)
             assert first_row_at_rest(*rows) is None, (power, noise, dt, speed, seed)
-            found, error = final_speed(*rows)
-            off.append((found - last) / error)
+            estimate, error = final_speed(*rows)
+            off.append((estimate - last) / error)
     # 0.954, were the paths parabolas; the braking of the first grows without
     # limit toward rest
     assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
@@ -96,7 +97,7 @@ def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
 
 
 def test_what_is_not_certain_is_said():
-    for made, words in (
+    for throw_and_speed, words in (
         (
             ending(1, 20.5, 0.02, 0.1, 3),
             r"uncertain: 0\.\d+\(\d+\) m/s at the last row",
@@ -106,7 +107,9 @@ def test_what_is_not_certain_is_said():
             r"not observed: 0\.2\d+\(\d+\) m/s at the last row",
         ),
     ):
-        (line,) = (line for line in facts(made[0], {}) if line.startswith("rest"))
+        (line,) = (
+            line for line in facts(throw_and_speed[0], {}) if line.startswith("rest")
+        )
         assert re.fullmatch(f"rest       {words}", line)
 
 
@@ -124,8 +127,8 @@ def test_a_speed_that_was_measured_says_how_the_throw_ends():
         (0.0, "at the last row"),
         (0.5, "not reached: 0.5 m/s at the end"),
     ):
-        one = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
-        assert f"rest       {words}" in list(facts(one, {}))
+        speeds = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
+        assert f"rest       {words}" in list(facts(speeds, {}))
     spin = Throw.from_arrays(t, omega=t)
     assert "rest       unknown: too few positions" in list(facts(spin, {}))
 

@@ -58,10 +58,10 @@ def test_units_in_the_second_row(write):
         throw = load_throw(write("\n".join([head, units, *rows])))
         is_throw(throw)
         assert throw.lines[0] == 3
-    both = load_throw(
+    titled = load_throw(
         write("\n".join(["Our throw", head, "(s),(cm),(cm),(deg)", *rows]))
     )
-    is_throw(both)
+    is_throw(titled)
     with pytest.raises(
         DataError,
         match=r"line 2, column Time: '\(fortnights\)' found, expected a finite",
@@ -270,8 +270,8 @@ def test_a_joint_fit_takes_every_throw_of_a_table(write):
     ],
 )
 def test_throws_side_by_side(write, head):
-    others = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:-5] + [",,,"] * 5
-    rows = [f"{one},{other}" for one, other in zip(ROWS, others, strict=True)]
+    other_rows = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:-5] + [",,,"] * 5
+    rows = [f"{row},{other}" for row, other in zip(ROWS, other_rows, strict=True)]
     file = write("\n".join([head, *rows]))
     throw = load_throw(file)
     is_throw(throw)
@@ -305,7 +305,8 @@ def test_a_worksheet_is_chosen_by_its_name_and_the_others_are_named(tmp_path, wr
 
     legend = [CELL.format("string", "", "red")]
     file = ods(tmp_path / "throws.ods", cells(0.0), second=cells(0.5), Legend=legend)
-    first, second = load_throw(file), load_throw(file, worksheet="second")
+    first = load_throw(file)
+    second = load_throw(file, worksheet="second")
     np.testing.assert_allclose(second.x, first.x + 0.5, atol=1e-12)
     those = (
         "3 worksheets: evening, second, Legend; taken: {}; `--worksheet NAME` selects "

@@ -9,7 +9,8 @@ from sample_files import COLUMNS, PHI, T, X, Y, note_on, table
 
 from curlfit import DataError, InputError, load_throw
 
-ARM, NOISE = 0.12, 0.002  # m
+ARM = 0.12  # m
+NOISE = 0.002  # m
 FINE = np.arange(0, 14.75, 0.05)
 
 
@@ -22,8 +23,8 @@ def marked(t=T, noise=0.0, seed=0, arm=ARM):
     """Places of stone and handle, and the angle of the latter."""
     x, y, phi = path(t)
     random = np.random.default_rng(seed)
-    places = [x, y, x + arm * np.cos(phi), y + arm * np.sin(phi)]
-    return [place + noise * random.standard_normal(len(t)) for place in places], phi
+    columns = [x, y, x + arm * np.cos(phi), y + arm * np.sin(phi)]
+    return [column + noise * random.standard_normal(len(t)) for column in columns], phi
 
 
 def export(places, t=T, unit="m", factor=1.0):
@@ -47,8 +48,8 @@ def export(places, t=T, unit="m", factor=1.0):
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0)])
 def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
-    places, phi = marked()
-    file = write(export(places, unit=unit, factor=factor))
+    coordinates, phi = marked()
+    file = write(export(coordinates, unit=unit, factor=factor))
     throw = load_throw(file, handle=2)
     assert [part.stone_index for part in parts_in(file, handle=2)] == [1]  # of a batch
     turns = 2 * np.pi * np.round((throw.phi[0] - phi[0]) / (2 * np.pi))
@@ -62,8 +63,9 @@ def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     "words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"]
 )
 def test_the_angle_is_counter_clockwise_in_any_axes(write, words):
-    places, phi = marked()
-    right, along = np.array(places[::2]), np.array(places[1::2])
+    coordinates, phi = marked()
+    right = np.array(coordinates[::2])
+    along = np.array(coordinates[1::2])
     x, y = {
         "x-along": (along, -right),
         "x-left": (-right, along),
@@ -76,8 +78,8 @@ def test_the_angle_is_counter_clockwise_in_any_axes(write, words):
 
 def test_noise_of_both_marks_is_that_of_the_angle(write):
     """sigma_phi = sqrt(2) sigma / arm to first order; the errors have that size."""
-    places, phi = marked(FINE, NOISE)
-    throw = load_throw(write(export(places, FINE)), handle=2)
+    coordinates, phi = marked(FINE, NOISE)
+    throw = load_throw(write(export(coordinates, FINE)), handle=2)
     expected = np.sqrt(2) * NOISE / ARM
     assert throw.sigma["phi"] == pytest.approx(expected, rel=0.15)
     error = throw.phi - phi
@@ -88,11 +90,12 @@ def test_noise_of_both_marks_is_that_of_the_angle(write):
 
 
 def test_given_sigmas_are_propagated(write):
-    places, phi = marked(noise=0.0)
-    sigma_x, sigma_y = 0.001, 0.004
-    columns = dict(zip(("x", "y", "x_handle", "y_handle"), places, strict=True)) | {
-        "t": T
-    }
+    coordinates, phi = marked(noise=0.0)
+    sigma_x = 0.001
+    sigma_y = 0.004
+    columns = dict(
+        zip(("x", "y", "x_handle", "y_handle"), coordinates, strict=True)
+    ) | {"t": T}
     columns |= {
         "sigma_x": np.full_like(T, sigma_x),
         "sigma_y": np.full_like(T, sigma_y),
@@ -100,7 +103,8 @@ def test_given_sigmas_are_propagated(write):
     throw = load_throw(write(table(columns)))
     # the gradient of atan2(dy, dx), by differences
     step = 1e-6
-    dx, dy = places[2] - places[0], places[3] - places[1]
+    dx = coordinates[2] - coordinates[0]
+    dy = coordinates[3] - coordinates[1]
     by_x = (np.arctan2(dy, dx + step) - np.arctan2(dy, dx - step)) / (2 * step)
     by_y = (np.arctan2(dy + step, dx) - np.arctan2(dy - step, dx)) / (2 * step)
     keep = (np.abs(by_x) < 20) & (np.abs(by_y) < 20)  # where atan2 does not jump
@@ -111,16 +115,16 @@ def test_given_sigmas_are_propagated(write):
 
 
 def test_gaps_of_either_mark_are_gaps_of_the_angle(write):
-    places, _ = marked()
-    places[2][5:8] = places[3][5:8] = np.nan
-    throw = load_throw(write(export(places)), handle=2)
+    coordinates, _ = marked()
+    coordinates[2][5:8] = coordinates[3][5:8] = np.nan
+    throw = load_throw(write(export(coordinates)), handle=2)
     assert np.flatnonzero(np.isnan(throw.phi)).tolist() == [5, 6, 7]
     assert np.isfinite(throw.x).all()
 
 
 def test_marks_that_are_none(write):
-    places, _ = marked()
-    file = write(export(places))
+    coordinates, _ = marked()
+    file = write(export(coordinates))
     with pytest.raises(
         InputError, match="--handle 1 is the stone itself; expected another object"
     ):
@@ -138,6 +142,6 @@ def test_marks_that_are_none(write):
         InputError, match=r"--handle: .*plain.csv is a table file and holds no obj"
     ):
         load_throw(plain, handle=1)
-    both = COLUMNS | {"x_mark": X + 0.1, "y_mark": Y}
+    columns = COLUMNS | {"x_mark": X + 0.1, "y_mark": Y}
     with pytest.raises(DataError, match="an angle and a second mark are both given"):
-        load_throw(write(table(both)))
+        load_throw(write(table(columns)))

@@ -10,7 +10,7 @@ from curlfit import Throw, load_throw
 def table_of(folder, x, y, phi):
     t = np.arange(len(x)) / 10
     rows = zip(t, x, y, phi, strict=True)
-    lines = ["t,x,y,phi", *(",".join(f"{one:.4f}" for one in row) for row in rows)]
+    lines = ["t,x,y,phi", *(",".join(f"{value:.4f}" for value in row) for row in rows)]
     file = folder / "throw.csv"
     file.write_text("\n".join(lines) + "\n")
     return file
@@ -93,10 +93,10 @@ def test_masked_and_missing_entries_of_arrays_are_gaps(path, given):
         Throw(t, *channels),
     ]
     for throw in throws:
-        for found, values in zip((throw.x, throw.y, throw.phi), path, strict=True):
-            assert np.flatnonzero(np.isnan(found)).tolist() == list(rows)
+        for channel, values in zip((throw.x, throw.y, throw.phi), path, strict=True):
+            assert np.flatnonzero(np.isnan(channel)).tolist() == list(rows)
             kept = np.delete(values, rows)
-            np.testing.assert_array_equal(np.delete(found, rows), kept)
+            np.testing.assert_array_equal(np.delete(channel, rows), kept)
 
 
 def test_a_masked_sigma_is_one_of_a_gap(path):

@@ -5,10 +5,13 @@ import pytest
 
 from curlfit.throws.readers.odd_rows import odd_values
 
-HOG_TO_HOG, HOG_TO_TEE, GRAVITY = 21.945, 28.346, 9.81
+HOG_TO_HOG = 21.945
+HOG_TO_TEE = 28.346
+GRAVITY = 9.81
 FLOORS = {"hog_to_hog": 0.05, "hog_to_rest": 0.05, "rest": 0.025, "curl": 0.025}
 USUAL = {"hog_to_hog": 0.0, "hog_to_rest": 0.0, "rest": 6.0, "curl": 1.5}
-FLOORS["turns"], USUAL["turns"] = 0.75, 19.0
+FLOORS["turns"] = 0.75
+USUAL["turns"] = 19.0
 EVENINGS = 100
 
 
@@ -18,7 +21,8 @@ def evening(seed, rows=16):
     sheet = np.arange(rows) % 2
     friction = 0.0092 * (1 + 0.04 * sheet) * (1 + 0.02 * random.standard_normal(rows))
     rest = 0.6 * random.standard_normal(rows)
-    length, slowing = HOG_TO_TEE + rest, GRAVITY * friction
+    length = HOG_TO_TEE + rest
+    slowing = GRAVITY * friction
     speed = np.sqrt(2 * slowing * length)
     later = np.sqrt(speed**2 - 2 * slowing * HOG_TO_HOG)
     turns = random.uniform(2.5, 4.0, rows)
@@ -69,9 +73,9 @@ def test_mistakes_are_named_even_three_at_once(rows):
             (second, "hog_to_rest"),
             (third, "curl"),
         }
-        found = {(value.row, value.column) for value in odd}
-        named += len(found & mistakes)
-        right += bool({row for row, _ in found} - {first, second, third})
+        odd_cells = {(value.row, value.column) for value in odd}
+        named += len(odd_cells & mistakes)
+        right += bool({row for row, _ in odd_cells} - {first, second, third})
     assert named >= 0.95 * 3 * EVENINGS
     assert right <= 2
 

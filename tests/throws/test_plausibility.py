@@ -56,8 +56,8 @@ def test_the_curl_is_the_departure_from_the_first_direction(until, rest):
     s = 1 - moving / 23
     x = -(0.004 * moving**2 - 0.185 * moving + 2.98 * (1 - s**1.43))
     noise = np.random.default_rng(1).normal(0, 0.003, (2, len(t)))
-    place = (x + 25j * (1 - s**1.897)) * np.exp(0.1j) + noise[0] + 1j * noise[1]
-    motion = motion_of(Throw.from_arrays(t, place.real, place.imag))
+    position = (x + 25j * (1 - s**1.897)) * np.exp(0.1j) + noise[0] + 1j * noise[1]
+    motion = motion_of(Throw.from_arrays(t, position.real, position.imag))
     assert motion.curl == pytest.approx(-x[-1], rel=0.08)
 
 
@@ -105,7 +105,7 @@ def test_wrong_units_are_refused_and_mended(written, made, said, flag):
     assert text.endswith("To accept the data as they are: `--as-given`")
     is_good(load_throw(file, units=flag))
     as_given = load_throw(file, as_given=True)
-    assert [item.level for item in require_plausible(as_given)] == [Level.WARNING]
+    assert [finding.level for finding in require_plausible(as_given)] == [Level.WARNING]
     arrays = made(GOOD)
     with pytest.raises(InputError) as caught:
         require_plausible(Throw.from_arrays(**arrays))
@@ -310,9 +310,9 @@ def test_a_position_that_jumps_is_refused_and_cut_off(written, made, flag):
 
 
 def test_some_rows_of_another_stone_are_no_jump():
-    made = jumped(3, 120)
-    made["y"][124:] -= 3
-    assert "jump" not in [f.code for f in examine(Throw.from_arrays(**made))]
+    columns = jumped(3, 120)
+    columns["y"][124:] -= 3
+    assert "jump" not in [f.code for f in examine(Throw.from_arrays(**columns))]
 
 
 @pytest.mark.parametrize("row", [0, 60, 200])
@@ -322,8 +322,10 @@ def test_a_time_far_from_the_others_is_named(written, row):
     file = written(GOOD | {"t": wrong})
     (part,) = parts_in(file)  # not two throws, one after another
     (finding,) = examine(part.throw)
-    said = f"the row t = {wrong[row]:g} s (line {row + 2}) is 1e+06 s from the others"
-    assert said in str(finding)
+    sentence = (
+        f"the row t = {wrong[row]:g} s (line {row + 2}) is 1e+06 s from the others"
+    )
+    assert sentence in str(finding)
     flag = "until" if row else "since"
     time = float(typed_flag(str(finding), flag))
     assert examine(part.throw.select_rows(**{flag: time})) == ()
@@ -400,7 +402,8 @@ def sliding(
 ):
     """A throw of constant friction that curls as the square of the
     distance, with noise."""
-    random, t = np.random.default_rng(seed), np.arange(0, until, dt)
+    random = np.random.default_rng(seed)
+    t = np.arange(0, until, dt)
     s = np.minimum(t, v / (9.81 * friction))
     along = v * s - 9.81 * friction * s**2 / 2
     left = np.sign(turn) * curl * (along / 28) ** 2
@@ -471,9 +474,9 @@ def driven(rise=0.0, jump=0.0, at=7.0):
 
 def with_rates(speed=1.0, spin=1.0):
     """A throw whose speed and spin were measured with wrong factors."""
-    one = sliding(noise=0.001, curl=0)
-    v = speed * np.maximum(2 - 0.0981 * one.t, 0)
-    return replace(one, speed=v, omega=spin * np.ones_like(v))
+    throw = sliding(noise=0.001, curl=0)
+    v = speed * np.maximum(2 - 0.0981 * throw.t, 0)
+    return replace(throw, speed=v, omega=spin * np.ones_like(v))
 
 
 LONG = {"v": 2.3, "until": 23, "noise": 0.001}
@@ -544,7 +547,9 @@ def test_sweeping_is_no_push_and_no_collision():
 def test_samples_of_every_format_are_plausible(name, tmp_path):
     (tmp_path / "data").write_text(SAMPLES[name], encoding="utf-8")
     assert not [
-        item for item in examine(load_throw(tmp_path / "data")) if item.is_refusal
+        finding
+        for finding in examine(load_throw(tmp_path / "data"))
+        if finding.is_refusal
     ]
 
 
@@ -585,14 +590,14 @@ def test_a_fit_that_misses_the_data_by_metres_is_not_usable():
     few = FEW | {"y": FEW["y"] + 5 * (np.arange(len(FEW["y"])) > 7)}
     throw = Throw.from_arrays(**few)
     assert examine(throw) == ()
-    one = curlfit.fit(throw, "coulomb", details=False)
-    assert not one.converged
-    assert re.match(r"implausible: the fit misses the data by 1\.\d m in y", one.status)
-    given = replace(throw, defaults={"as_given": True})
-    one = curlfit.fit(given, "coulomb", details=False)
-    assert one.converged
-    assert one.warnings[0].code == "misfit"
-    assert not one.warnings[0].is_refusal
+    fit = curlfit.fit(throw, "coulomb", details=False)
+    assert not fit.converged
+    assert re.match(r"implausible: the fit misses the data by 1\.\d m in y", fit.status)
+    accepted = replace(throw, defaults={"as_given": True})
+    fit = curlfit.fit(accepted, "coulomb", details=False)
+    assert fit.converged
+    assert fit.warnings[0].code == "misfit"
+    assert not fit.warnings[0].is_refusal
 
 
 def test_a_robust_fit_may_leave_out_a_value_far_off():
@@ -619,11 +624,11 @@ def slid(v0, mu):
 def test_a_takeout_without_a_back_line_is_no_matter_of_units():
     t, y = slid(3.0, 0.0074)
     assert y[-1] > 61.9
-    (found,) = require_plausible(Throw.from_arrays(t, 0 * y, y))
-    assert found.code == "long-path"
-    assert not found.is_refusal
+    (finding,) = require_plausible(Throw.from_arrays(t, 0 * y, y))
+    assert finding.code == "long-path"
+    assert not finding.is_refusal
     assert "the path is 62 m long, and a sheet 45.7 m, unless the ice goes on" in str(
-        found
+        finding
     )
     # in feet a draw is too long and too fast
     t, y = slid(2.0, 0.0074)

@@ -96,8 +96,8 @@ METRES = PLAIN.replace("x,y", "x_m,y_m")
             "line 3, column t_phi: the time is missing",
         ),
         *(
-            (f'# axes = "{words}"\n' + PLAIN, "", "", f"line 1: axes '{told}")
-            for words, told in (
+            (f'# axes = "{words}"\n' + PLAIN, "", "", f"line 1: axes '{message}")
+            for words, message in (
                 ("x-up", "x-up': unknown word"),
                 ("x-left,x-right", "x-left,x-right': x points in two directions"),
                 ("x-left,y-right", "x-left,y-right': x and y lie on one line"),
@@ -388,8 +388,8 @@ def test_degrees_without_a_unit_are_told_by_their_jumps(write, header, low):
     degrees = np.remainder(np.degrees(0.1 * PHI) + 340, 360) + low  # as slow as radians
     columns = {"t": T, "x": X, "y": Y, header: degrees}
     row = int(np.argmax(np.abs(np.diff(degrees)) > 180)) + 1
-    told = "the numbers jump by 360 as degrees do; give `?--units angle=deg"
-    with pytest.raises(DataError, match=told) as caught:
+    message = "the numbers jump by 360 as degrees do; give `?--units angle=deg"
+    with pytest.raises(DataError, match=message) as caught:
         load_throw(write(table(columns)))
     assert caught.value.line == row + 2
     throw = load_throw(write(table(columns)), units="angle=deg")

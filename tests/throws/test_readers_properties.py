@@ -90,9 +90,9 @@ def test_the_same_throw_however_it_is_written(tmp_path, data):
         np.testing.assert_allclose(
             getattr(throw, name), expected[name], rtol=1e-9, atol=1e-9
         )
-    seen = np.isfinite(expected["phi"])
-    np.testing.assert_array_equal(np.isfinite(throw.phi), seen)
-    off = (throw.phi - expected["phi"])[seen]
+    measured = np.isfinite(expected["phi"])
+    np.testing.assert_array_equal(np.isfinite(throw.phi), measured)
+    off = (throw.phi - expected["phi"])[measured]
     # the zero of a wrapped angle is lost
     np.testing.assert_allclose(off, off[0], atol=1e-9)
     if not wrap:

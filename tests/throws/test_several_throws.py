@@ -16,7 +16,8 @@ OTHERS = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:]
 def two(interleaved=False):
     """A red stone, and a yellow one 0.5 m to the right, with a column
     that names them."""
-    red, yellow = [f"{row},red" for row in ROWS], [f"{row},yellow" for row in OTHERS]
+    red = [f"{row},red" for row in ROWS]
+    yellow = [f"{row},yellow" for row in OTHERS]
     rows = (
         [r for pair in zip(red, yellow, strict=True) for r in pair]
         if interleaved

@@ -40,9 +40,9 @@ def test_a_record(read):
     assert throw.labels == {}
     assert not throw.has_path
     assert throw.defaults["law"] == "front-back"  # curl and turns were measured
-    found = {event.name: event for event in throw.events}
+    events = {event.name: event for event in throw.events}
     # back line, hog lines and far tee, m from the hack (World Curling, rule R1)
-    lines = {name: (event.since, event.at) for name, event in found.items()}
+    lines = {name: (event.since, event.at) for name, event in events.items()}
     assert lines == {
         "back_to_hog": (1.829, 10.059),
         "hog_to_hog": (10.059, pytest.approx(32.004)),
@@ -60,7 +60,7 @@ def test_a_record(read):
         "turns": 5 * math.pi,
     }
     assert values(throw) == pytest.approx(expected)
-    sigmas = {name: event.sigma for name, event in found.items()}
+    sigmas = {name: event.sigma for name, event in events.items()}
     assert sigmas == pytest.approx(
         dict.fromkeys(("back_to_hog", "hog_to_hog", "hog_to_rest"), 0.1)
         | {"rest": 0.05, "curl": 0.05, "turns": 0.2 * math.pi}
@@ -170,11 +170,11 @@ def test_the_place_of_rest_and_turns(read, text, found):
     ],
 )
 def test_speed_and_spin_at_the_near_hog_line(read, text, speed, spin):
-    found = {event.name: event for event in read(text).events}
-    both = found["speed"], found["spin"]
-    assert [event.value for event in both] == pytest.approx([speed, spin])
-    assert {(event.at, event.since) for event in both} == {(10.059, None)}
-    assert [event.sigma for event in both] == [0.02, 0.05]
+    events = {event.name: event for event in read(text).events}
+    speed_and_spin = events["speed"], events["spin"]
+    assert [event.value for event in speed_and_spin] == pytest.approx([speed, spin])
+    assert {(event.at, event.since) for event in speed_and_spin} == {(10.059, None)}
+    assert [event.sigma for event in speed_and_spin] == [0.02, 0.05]
 
 
 def test_a_column_of_words_about_the_spin_is_the_handle(read):
@@ -458,8 +458,8 @@ def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     varied = ((1, "9.1,-,-"), (2, "15.4,6.5,0.4 m left"), (3, "13,12.5,6 ft right"))
     assert not any(part.left_out for part in parts_in(evening(tmp_path, *varied)))
     absurd = tuple((row, f"{30 + row},11,1 m left") for row in (1, 2, 3))
-    first, *others = parts_in(evening(tmp_path, *absurd))
-    assert not any(part.left_out for part in (first, *others))
+    first, *later_parts = parts_in(evening(tmp_path, *absurd))
+    assert not any(part.left_out for part in (first, *later_parts))
     assert [odd.left_out for odd in first.throw.odd_rows] == [False] * 3
     (finding,) = odd_row_findings(first.throw.odd_rows)
     assert finding.code == "odd-rows-used"
@@ -473,7 +473,9 @@ def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
 
 def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    a, v, d = 0.0085 * 9.81, 2.25, np.array([21.945, 28.346])
+    a = 0.0085 * 9.81
+    v = 2.25
+    d = np.array([21.945, 28.346])
     hog, tee = (v - np.sqrt(v**2 - 2 * a * d)) / a  # from the near hog line
     header = "hog_to_hog,hog_to_tee,curl,turns,hog spilt,humidity\n"
     alone = "13.5,,,,,40\n,,,,,41\n"
@@ -486,14 +488,14 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     words = "fit evening.csv --law front-back --no-figures --no-sample --out joint"
     run = invoke(words.split())
     assert run.exit_code == 0, run.exception
-    said = " ".join(run.stdout.split())
+    text = " ".join(run.stdout.split())
     for words in (
         "Note: left out of a joint fit, since no time was measured: line 3.",
         "Note: column hog spilt is not understood; expected one of "
         "back_to_hog, hog_to_hog",
         "Note: columns ignored: hog spilt, humidity.",
     ):
-        assert said.count(words) == 1, words
+        assert text.count(words) == 1, words
     joint = load_joint(tmp_path / "joint")
     (total,) = joint.combinations  # without spin
     assert total.value == pytest.approx(2 * 0.0085, rel=1e-5)
@@ -533,24 +535,32 @@ def test_labels_of_tracks(tmp_path):
 
 def test_measurements_beside_a_track_are_used(tmp_path):
     law = curlfit.law_with("front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05})
-    times, hog = np.append(np.arange(0, 4, 0.1), [20.0, 60.0]), LINES["hog"]
+    times = np.append(np.arange(0, 4, 0.1), [20.0, 60.0])
+    hog = LINES["hog"]
     start = curlfit.InitialState(y=hog, v=2.25, omega=1.4)
     path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
     noise = np.random.default_rng(4).standard_normal((3, len(times) - 2))
     rows = np.array([times, path.x, path.y, path.phi])[:, :-2].T
     rows[:, 1:] += (0.005 * noise * np.array([[1], [1], [2]])).T
-    clip, notes = tmp_path / "clip.csv", tmp_path / "notes.csv"
+    clip = tmp_path / "clip.csv"
+    notes = tmp_path / "notes.csv"
     np.savetxt(clip, rows, delimiter=",", header="t,x,y,phi", comments="")
-    past, turns = path.y[-1] - LINES["far-tee"], path.phi[-1] / (2 * np.pi)
+    past = path.y[-1] - LINES["far-tee"]
+    turns = path.phi[-1] / (2 * np.pi)
     notes.write_text(
         "file,sheet,rest (m),curl (m),turns\n"
         f"clip,2,{past:.3f},{path.x[-1]:.3f},{turns:.2f} ccw\n"
     )
-    known = {"axes": "from-hack", "throws": str(notes)}
-    alone, whole = load_throw(clip, axes="from-hack"), load_throw(clip, **known)
-    assert [event.name for event in whole.events] == ["rest", "curl", "turns"]
-    assert whole.notes[-1].code == "measurements-of-a-table"
-    fits = [curlfit.fit(throw, details=False) for throw in (alone, whole)]
+    options = {"axes": "from-hack", "throws": str(notes)}
+    alone = load_throw(clip, axes="from-hack")
+    with_measurements = load_throw(clip, **options)
+    assert [event.name for event in with_measurements.events] == [
+        "rest",
+        "curl",
+        "turns",
+    ]
+    assert with_measurements.notes[-1].code == "measurements-of-a-table"
+    fits = [curlfit.fit(throw, details=False) for throw in (alone, with_measurements)]
     errors = [fit.combinations[0].stderr for fit in fits]
     assert errors[1] < errors[0] / 3
     assert fits[1].combinations[0].value == pytest.approx(0.018, abs=3 * errors[1])
@@ -561,15 +571,15 @@ def test_measurements_beside_a_track_are_used(tmp_path):
 
 def test_a_spreadsheet_is_read_as_its_text(tmp_path):
     pytest.importorskip("python_calamine")
-    said = partial(CELL.format, "string", "")
+    text = partial(CELL.format, "string", "")
     clock = CELL.format("time", 'office:time-value="PT19H05M00S"', "19:05")
     number = CELL.format("float", 'office:value="13.5"', "13.5")
     rows = (
-        said('# law = "power"'),
+        text('# law = "power"'),
         "",
-        said("start") + said("hog to hog") + said("curl"),
-        clock + number + said("3'3\" left; or so"),
-        clock + number + said("3'3\" left"),
+        text("start") + text("hog to hog") + text("curl"),
+        clock + number + text("3'3\" left; or so"),
+        clock + number + text("3'3\" left"),
     )
     file = ods(tmp_path / "evening.ods", rows)
     assert detect_format(TextFile.read(file).lines) == "timings"

@@ -61,10 +61,10 @@ def test_bad_values_move_no_wrapped_angle(throw, low):
 def test_a_bad_value_of_a_wrapped_angle_is_off_course_alone(period, part):
     wrapped = np.remainder(PHI, period)
     wrapped[20] += part * period
-    found = unwrap(T, wrapped)
-    assert found.period == period
-    assert np.flatnonzero(found.off_course).tolist() == [20]
-    off = np.delete(found.angle - PHI, 20)
+    unwrapped = unwrap(T, wrapped)
+    assert unwrapped.period == period
+    assert np.flatnonzero(unwrapped.off_course).tolist() == [20]
+    off = np.delete(unwrapped.angle - PHI, 20)
     np.testing.assert_allclose(off, off[0], atol=1e-9)
 
 
@@ -73,9 +73,9 @@ def test_an_angle_that_stands_still_while_the_stone_turns_is_a_gap():
     angle = 1.5 * t
     wrapped = np.remainder(angle, TURN)
     wrapped[60:85] = wrapped[60]  # 3.6 rad
-    found = unwrap(t, wrapped)
-    np.testing.assert_allclose(found.angle[:61], angle[:61], atol=1e-9)
-    np.testing.assert_allclose(found.angle[85:], angle[85:], atol=1e-9)
+    unwrapped = unwrap(t, wrapped)
+    np.testing.assert_allclose(unwrapped.angle[:61], angle[:61], atol=1e-9)
+    np.testing.assert_allclose(unwrapped.angle[85:], angle[85:], atol=1e-9)
 
 
 FROZEN = [23, 24, 25]

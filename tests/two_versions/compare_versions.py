@@ -86,7 +86,9 @@ class ExpectedChanges:
             change
             for change in self.changes
             if any(fnmatchcase(case, change.case) for case in comparison.case_names)
-            and not any(change.covers(one) for one in comparison.differences)
+            and not any(
+                change.covers(difference) for difference in comparison.differences
+            )
         ]
 
 
@@ -109,9 +111,9 @@ def main() -> int:
         comparison = Comparison()
         names = [case.name for case in cases]
         comparison.cases(answers["before"], answers["after"], names)
-    whole = options.case == "*" and is_base(options.against, expected.base)
+    is_complete = options.case == "*" and is_base(options.against, expected.base)
     print(f"{before.name} and {versions['after'].name}, {len(cases)} cases")
-    return report(comparison, expected, whole=whole)
+    return report(comparison, expected, whole=is_complete)
 
 
 def parsed_options(base: str) -> argparse.Namespace:
@@ -192,8 +194,8 @@ def report(
     unmatched = expected.unmatched(comparison) if whole else []
     print(f"{'compared':18} {'number':>8} {'differ':>7} {'expected':>9}  furthest")
     for kind, number in sorted(comparison.compared.items()):
-        differ = sum(one.kind == kind for one in comparison.differences)
-        surprises = sum(one.kind == kind for one in unexpected)
+        differ = sum(difference.kind == kind for difference in comparison.differences)
+        surprises = sum(difference.kind == kind for difference in unexpected)
         distance, where = comparison.furthest.get(kind, (0.0, ""))
         furthest = f"{distance:.2g} of its tolerance, {where}" if where else ""
         print(f"{kind:18} {number:8} {differ:7} {differ - surprises:9}  {furthest}")

@@ -303,8 +303,14 @@ class Comparison:
 
     def combinations(self, place: str, before: list, after: list) -> None:
         """Compare weighted sums by the parameters in them."""
-        sums_before = {parameters_of(item["expression"]): item for item in before}
-        sums_after = {parameters_of(item["expression"]): item for item in after}
+        sums_before = {
+            parameters_of(combination["expression"]): combination
+            for combination in before
+        }
+        sums_after = {
+            parameters_of(combination["expression"]): combination
+            for combination in after
+        }
         in_both = self.names(
             "combinations", f"{place}.", set(sums_before), set(sums_after)
         )
@@ -336,7 +342,8 @@ class Comparison:
         """Compare a covariance or information matrix, in units of its diagonal."""
         if not self.same("keys", f"{place}.names", before["names"], after["names"]):
             return
-        matrix_before, matrix_after = np.array(before["matrix"]), after["matrix"]
+        matrix_before = np.array(before["matrix"])
+        matrix_after = after["matrix"]
         sizes = np.sqrt(np.abs(np.diag(matrix_before)))
         unit = np.maximum(np.outer(sizes, sizes), 1e-300)
         distances = np.abs(matrix_after - matrix_before) / unit
@@ -359,15 +366,16 @@ class Comparison:
 
     def list(self, place: str, before: list, after: list) -> None:
         """Compare two lists of JSON: numbers as an array, else each item."""
-        array_before, array_after = as_array(before), as_array(after)
+        array_before = as_array(before)
+        array_after = as_array(after)
         if array_before is not None and array_after is not None:
             shapes = array_before.shape, array_after.shape
             if self.same("other values", f"{place}: shape", *shapes):
                 self.numbers(place, array_before.ravel(), array_after.ravel())
             return
         if self.same("other values", f"{place}: number", len(before), len(after)):
-            items = zip(before, after, strict=True)
-            for index, (item_before, item_after) in enumerate(items):
+            pairs = zip(before, after, strict=True)
+            for index, (item_before, item_after) in enumerate(pairs):
                 self.value(f"{place}.{index}.", item_before, item_after)
 
     def numbers(
@@ -396,7 +404,8 @@ class Comparison:
     def table(self, place: str, before: Table, after: Table) -> None:
         """Compare a table by column; values beside their standard errors by these."""
         for name in self.names("keys", place, set(before), set(after)):
-            cells_before, cells_after = before[name], after[name]
+            cells_before = before[name]
+            cells_after = after[name]
             lengths = len(cells_before), len(cells_after)
             if not self.same("other values", f"{place}{name}: rows", *lengths):
                 continue

@@ -53,9 +53,9 @@ def along_ridge(
     for name in held:
         if not _is_followed(first_order, name):
             continue
-        others = first_order.holding(name)
-        if is_seen_elsewhere(others, slopes_at) and others.sees(gradient):
-            errors.append(others.stderr(gradient))
+        while_held = first_order.holding(name)
+        if is_seen_elsewhere(while_held, slopes_at) and while_held.sees(gradient):
+            errors.append(while_held.stderr(gradient))
     demanded_errors = [min(errors)]
     fit_nearly_as_well = [estimate]
     for point, value, gradient_there in zip(

@@ -137,9 +137,9 @@ class FirstOrder(NamedTuple):
         row = self.vector(gradient)
         errors = {}
         for name in {point.held for point in self.ridge} & set(self.names):
-            others = self.holding(name)
-            if others.sees(gradient):
-                errors[name] = others.stderr(gradient)
+            while_held = self.holding(name)
+            if while_held.sees(gradient):
+                errors[name] = while_held.stderr(gradient)
         if errors:
             held = min(errors, key=lambda name: errors[name])
             shift = shift - self.follow(held) * shift[self.names.index(held)]

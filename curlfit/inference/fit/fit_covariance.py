@@ -136,8 +136,8 @@ def with_others(
     completed = []
     for index, covariance in enumerate(covariances):
         follow = marginal.follow[index][covariance.open]
-        others = OtherThrows(follow, matrices, dof, own=index)
-        completed.append(replace(covariance, others=others))
+        other_throws = OtherThrows(follow, matrices, dof, own=index)
+        completed.append(replace(covariance, others=other_throws))
     return completed
 
 

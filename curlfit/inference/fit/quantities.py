@@ -267,22 +267,22 @@ def _values(definitions: Sequence[_Definition], motion: _Motion) -> Floats:
 
 def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
     """Quantities that the measured channels and the lines crossed determine."""
-    seen = set(fit.rms)
+    measured = set(fit.rms)
     rests = best.rest <= best.t[-1]
     passed = set()
-    if "y" in seen and fit.counts_from_hack:
+    if "y" in measured and fit.counts_from_hack:
         low = best.y.min() - _NEAR
         high = best.y.max() + _NEAR
         lines = ("hog", "far-hog", "far-tee")
         passed = {line for line in lines if low <= LINES[line] <= high}
     until = "until rest" if rests else "over the record"
     definitions = []
-    if "y" in seen or "speed" in seen:
+    if "y" in measured or "speed" in measured:
         meaning = f"mean deceleration / g, {until}"
         definitions.append(
             _Definition("friction", meaning, "1", lambda motion: motion.friction)
         )
-    if "x" in seen and "y" in seen:
+    if "x" in measured and "y" in measured:
         tee = None
         where = "at rest" if rests else "at the end of the record"
         if "far-tee" in passed:
@@ -292,7 +292,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
         definitions.append(
             _Definition("curl", meaning, "m", lambda motion: motion.curl(tee))
         )
-    if "phi" in seen or "omega" in seen:
+    if "phi" in measured or "omega" in measured:
         meaning = f"turns counter-clockwise, {until}"
         definitions.append(
             _Definition("turns", meaning, "1", lambda motion: motion.turns)

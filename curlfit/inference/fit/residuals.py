@@ -106,9 +106,9 @@ def outliers_of(
         count = len(observed)
         if count < _FEWEST:
             continue
-        given = throw.sigma.get(channel)
+        given_sigma = throw.sigma.get(channel)
         off = residual[row, observed]
-        if given is None:
+        if given_sigma is None:
             off = off / throw.sigma_over_smallest(channel)[observed]
         size = np.abs(off)
         is_smooth = lag1.get(channel, 1.0) > _SMOOTH
@@ -116,7 +116,7 @@ def outliers_of(
             not is_smooth
             and count < _FEW
             and not loss.is_robust
-            and given is None
+            and given_sigma is None
             and dof[row] > 2
         )
         limit = 5 + 30 / (count - 6)
@@ -125,8 +125,8 @@ def outliers_of(
             continue  # the median size is so large that no value is far off
         bulk = max(robust_sigma(size), SIGMA_FLOOR)
         sigma = np.full(count, bulk)
-        if given is not None:
-            sigma = np.maximum(given[observed], bulk)
+        if given_sigma is not None:
+            sigma = np.maximum(given_sigma[observed], bulk)
         if is_smooth:
             is_far = _far_from_neighbours(off, limit * sigma)
         else:

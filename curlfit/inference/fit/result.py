@@ -298,11 +298,11 @@ class FitResult(NamedEstimates):
     @property
     def coefficients(self) -> dict[str, Estimate]:
         """The law's own parameters."""
-        others = {parameter.name for parameter in (*CONDITIONS, *START)}
+        conditions_and_start = {parameter.name for parameter in (*CONDITIONS, *START)}
         return {
             name: estimate
             for name, estimate in self.parameters.items()
-            if name not in others
+            if name not in conditions_and_start
         }
 
     @property
@@ -379,10 +379,10 @@ class FitResult(NamedEstimates):
         """The products that are determined, and the derived quantities that were
         requested, each once."""
         requested = {quantity.expression for quantity in self.derived}
-        others = [
+        other_products = [
             product for product in self.products if product.expression not in requested
         ]
-        return (*others, *self.derived)
+        return (*other_products, *self.derived)
 
     @property
     def residuals(self) -> dict[str, Floats]:

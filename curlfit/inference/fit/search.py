@@ -147,12 +147,12 @@ class _Search:
                 law, first[0], self.tasks.lower[row], self.tasks.upper[row]
             )
             if request.start:
-                given = request.with_given_start(first[0])
+                given_start = request.with_given_start(first[0])
                 if len(first) == 1:
                     others = first + others
-                    first = [given]
+                    first = [given_start]
                 else:
-                    first = [given, *first]
+                    first = [given_start, *first]
             first_starts[row] = first
             other_starts[row] = others
         tried = self._reached(first_starts)
@@ -272,8 +272,8 @@ class _Search:
                 f"{model.load} load gives no finite "
                 "path from any start" + no_motion_because(model.load)
             )
-        best, *others = self.optima[row]
-        return self.stack.record(row, best, tried, _rival(best, others))
+        best, *other_optima = self.optima[row]
+        return self.stack.record(row, best, tried, _rival(best, other_optima))
 
 
 def _distinct(sides: Floats, typical: Floats) -> list[Floats]:
@@ -320,11 +320,11 @@ def _best_first(solutions: Iterable[Solution]) -> list[Solution]:
 def _best_and_rival(solutions: Iterable[Solution]) -> list[Solution]:
     """The best of the optima of a throw, and the first other one that fits equally, if
     there is one; empty where none is finite."""
-    best_and_others = _best_first(solutions)
-    if not best_and_others:
+    optima = _best_first(solutions)
+    if not optima:
         return []
-    best, *others = best_and_others
-    rival = _rival(best, others)
+    best, *other_optima = optima
+    rival = _rival(best, other_optima)
     return [best] if rival is None else [best, rival]
 
 

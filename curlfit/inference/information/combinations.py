@@ -50,7 +50,7 @@ def with_combinations(
     names: Sequence[str], samples: Floats, combinations: Iterable[Combination]
 ) -> dict[str, Floats]:
     """Samples (..., parameters) by the name of the parameter, and by combination."""
-    by_name = {name: samples[..., place] for place, name in enumerate(names)}
+    by_name = {name: samples[..., index] for index, name in enumerate(names)}
     sums = {
         combination.expression: np.sum(
             [weight * by_name[name] for name, weight in combination.weights.items()], 0

@@ -143,11 +143,11 @@ class Information:
     def __add__(self, other: Information) -> Self:
         """What both say together, about the values of the first. The other may be about
         fewer of the parameters."""
-        places = [self.names.index(name) for name in other.names]
-        of_other = other.about(self.values[..., places]).rows.copy()
-        of_other[..., :-1] *= self.typical[places] / other.typical
+        indices = [self.names.index(name) for name in other.names]
+        of_other = other.about(self.values[..., indices]).rows.copy()
+        of_other[..., :-1] *= self.typical[indices] / other.typical
         widened = np.zeros((*of_other.shape[:-1], len(self.names) + 1))
-        widened[..., [*places, -1]] = of_other
+        widened[..., [*indices, -1]] = of_other
         return self._with(widened)
 
     def with_rows(self, rows: Floats) -> Self:

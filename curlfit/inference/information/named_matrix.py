@@ -30,8 +30,8 @@ class NamedMatrix(Entry):
 
     def among(self, names: Sequence[str]) -> Floats:
         """The matrix of some of its parameters, in their order."""
-        places = [self.names.index(name) for name in names]
-        block: Floats = self.matrix[np.ix_(places, places)]
+        indices = [self.names.index(name) for name in names]
+        block: Floats = self.matrix[np.ix_(indices, indices)]
         return block
 
 

@@ -184,7 +184,7 @@ UNKNOWN_SPIN = Condition(
 """It acts on the times of a throw with its square, whichever way the stone turns."""
 ASSUMED = (SPIN, UNKNOWN_SPIN)
 """Conditions of throws whose spin was not measured."""
-WIDTHS = {item.name: item.width for item in (*CONDITIONS, *ASSUMED)}
+WIDTHS = {condition.name: condition.width for condition in (*CONDITIONS, *ASSUMED)}
 ALL = "all"
 CALIBRATION = "calibration"
 """The map from pixels to metres; its width is in units of its own standard
@@ -229,5 +229,5 @@ def if_off(name: str, width: float) -> str:
         SPIN.name: f"if stones turn {100 * width:g} % more than assumed",
         UNKNOWN_SPIN.name: f"if the stone turns, at {width:g} rad/s",
     }
-    meaning = {item.name: item.meaning for item in CONDITIONS}
+    meaning = {condition.name: condition.meaning for condition in CONDITIONS}
     return texts.get(name) or f"if the {meaning[name]} is {1e3 * width:g} mm larger"

@@ -155,23 +155,23 @@ _KINDS: dict[str, Any] = {
 
 def _values(prior: Any) -> tuple[float, ...]:
     """The numbers of a prior, in the order of its form."""
-    return tuple(getattr(prior, item.name) for item in fields(prior))
+    return tuple(getattr(prior, field.name) for field in fields(prior))
 
 
 def parse_prior(name: str, text: str) -> Prior:
     """The prior of a parameter from text, in one of the `FORMS`. Raises `InputError`
     for anything else."""
     kind, _, rest = text.rpartition(":")
-    made = _KINDS.get(kind.strip() or Normal.kind)
+    form = _KINDS.get(kind.strip() or Normal.kind)
     try:
         values = tuple(map(float, re.split(r"\+-|\+/-|±|,", rest)))
     except ValueError:
         values = ()
-    if made is None or len(values) != len(fields(made)):
+    if form is None or len(values) != len(fields(form)):
         raise InputError(
             f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}"
         )
-    prior: Prior = made(*values)
+    prior: Prior = form(*values)
     fault = prior.fault()
     if not all(map(is_size, values)):
         fault = f"expected finite numbers, {SIZES}"
@@ -248,7 +248,7 @@ def penalty_of(parameters: Iterable[Parameter], priors: Mapping[str, Prior]) -> 
     That of a lognormal density is quadratic about its mode: with u = ln(p/median) and
     s = sigma, u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
     """
-    names = [item.name for item in parameters]
+    names = [parameter.name for parameter in parameters]
     location, weight, logarithmic = np.zeros((3, len(names)))
     for name, prior in priors.items():
         index = names.index(name)

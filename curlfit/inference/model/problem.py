@@ -81,14 +81,14 @@ def build_problem(
     """
     n = len(throw)
     channels, rows = shape or problem_shape(throw)
-    seen = min(channels, len(CHANNELS))
-    finite = throw.finite[:seen]
+    path_channels = min(channels, len(CHANNELS))
+    finite = throw.finite[:path_channels]
     first_time = float(throw.t[0])
     times = np.full(rows, throw.t[-1] - first_time)
     times[:n] = throw.t - first_time
     observed = np.zeros((channels, rows))
     weight = np.zeros((channels, rows))
-    observed[:seen, :n] = np.where(finite, throw.observed[:seen], 0.0)
+    observed[:path_channels, :n] = np.where(finite, throw.observed[:path_channels], 0.0)
     for row, name in enumerate(CHANNELS[:channels]):
         weight[row, :n] = np.where(finite[row], 1 / _sigma_of(throw, sigma, name), 0.0)
     events = None
@@ -142,7 +142,7 @@ def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
 
 def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:
     """Sigma of a channel by row; positive where a value was not observed."""
-    given = throw.sigma.get(name)
-    if given is None:
+    given_sigma = throw.sigma.get(name)
+    if given_sigma is None:
         return sigma.get(name, 1.0) * throw.sigma_over_smallest(name)
-    return np.where(given > 0, given, 1.0)
+    return np.where(given_sigma > 0, given_sigma, 1.0)

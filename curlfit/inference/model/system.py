@@ -45,13 +45,15 @@ class System(NamedTuple):
         """From a parameter vector; `stone` and `environment` give the
         other conditions."""
         k = len(model.law.coefficients())
-        given = {name: values[k + index] for index, name in enumerate(model.conditions)}
+        conditions = {
+            name: values[k + index] for index, name in enumerate(model.conditions)
+        }
         first = k + len(model.conditions)
         start = {name: values[first + index] for index, name in enumerate(START_NAMES)}
         return cls(
             model.law.from_vector(values),
-            _replaced(stone, given),
-            _replaced(environment, given),
+            _replaced(stone, conditions),
+            _replaced(environment, conditions),
             InitialState(
                 x=start["x0"],
                 y=start["y0"],
@@ -60,8 +62,8 @@ class System(NamedTuple):
                 phi=start["phi0"],
                 omega=start["omega0"],
             ),
-            given.get("length_scale", 1.0),
-            given.get("time_scale", 1.0),
+            conditions.get("length_scale", 1.0),
+            conditions.get("time_scale", 1.0),
         )
 
 
@@ -75,9 +77,9 @@ def assumed_conditions(model: Model, problems: Problem) -> Floats:
     """Values of the model's conditions assumed for many throws, shape
     (throws, conditions)."""
     assumed = np.ones((len(problems.times), len(model.conditions)))
-    known = vars(problems.stone) | vars(problems.environment)
+    value_by_name = vars(problems.stone) | vars(problems.environment)
     for column, name in enumerate(model.conditions):
-        assumed[:, column] = known.get(name, 1.0)
+        assumed[:, column] = value_by_name.get(name, 1.0)
     return assumed
 
 

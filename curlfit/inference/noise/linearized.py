@@ -142,14 +142,16 @@ class Linearized(NamedTuple):
         columns = columns.reshape(-1, columns.shape[-1])
         directions = len(self.held.T)
         by_direction = columns[:, :directions]
-        others = columns[:, directions:]
+        other_columns = columns[:, directions:]
         precision = by_direction.T @ by_direction
         # 1 of directions that are not determined, whose columns are zero
         precision += jnp.diag(jnp.where(jnp.diag(precision) > 0, 0.0, 1.0))
         factor = (jnp.linalg.cholesky(precision), True)
         # The products of what is left, not a difference of products: rounding keeps
         # it positive.
-        left = others - by_direction @ cho_solve(factor, by_direction.T @ others)
+        left = other_columns - by_direction @ cho_solve(
+            factor, by_direction.T @ other_columns
+        )
         return Regression(left.T @ left, precision, self.held @ self.coupling)
 
     def covariance(self, noise: Noise, times: Floats, scale: Floats) -> Floats:
@@ -160,10 +162,10 @@ class Linearized(NamedTuple):
         correlated = noise.correlated
         for row, (weight, factor) in enumerate(zip(self.weight, scale, strict=True)):
             channel = CHANNELS_AND_EVENTS[row]
-            seen = weight > 0
-            columns = factor * weight[seen, None] * self.jacobian[row, seen]
+            measured = weight > 0
+            columns = factor * weight[measured, None] * self.jacobian[row, measured]
             if channel in correlated:
-                of_noise = noise.covariance(channel, times[seen])
+                of_noise = noise.covariance(channel, times[measured])
                 covariance += columns.T @ of_noise @ columns
             else:
                 covariance += columns.T @ columns

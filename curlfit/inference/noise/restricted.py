@@ -92,10 +92,10 @@ def _regression(
     noise: Noise, point: Array, data: Linearized
 ) -> tuple[Regression, Array]:
     """The regression, and the log-determinant of the whitening."""
-    seen = data.weight > 0
+    measured = data.weight > 0
     parts = _parts(point, data)
-    whitening = noise.filter(noise.values(parts.unknowns), data.gaps, seen)
-    by_channel = whitening.log_determinant() - seen.sum(-1) * parts.log_scale
+    whitening = noise.filter(noise.values(parts.unknowns), data.gaps, measured)
+    by_channel = whitening.log_determinant() - measured.sum(-1) * parts.log_scale
     regression = data.regression(whitening, jnp.exp(parts.log_scale))
     return regression, by_channel.sum()
 
@@ -255,7 +255,7 @@ class _Search:
             residual = residual - np.asarray(data.adjusted_responses) @ amplitudes
         series = zip(data.weight * residual, data.weight > 0, strict=True)
         has_size = ~self.free | (parts.log_scale > self.log_rms - _FAR)
-        return has_size & [is_rough(values[seen]) for values, seen in series]
+        return has_size & [is_rough(values[measured]) for values, measured in series]
 
     def _at(self, maximum: _Maximum) -> Regression:
         """The regression at a maximum."""
@@ -274,11 +274,11 @@ class _Search:
         """
         if not self.noise.has_time:
             return best
-        *others, time = best.unknowns
+        *other_unknowns, time = best.unknowns
         values = _parts(best.point, self.data).unknowns
         inside = [
             unknown.lower < value < unknown.upper
-            for unknown, value in zip(others, values[:-1], strict=True)
+            for unknown, value in zip(other_unknowns, values[:-1], strict=True)
         ]
         moving = np.flatnonzero([*self.free, *inside, True])
         hessian = slopes(

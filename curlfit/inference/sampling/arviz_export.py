@@ -104,19 +104,20 @@ def _of_data(
 ) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Variables and coordinates of the groups about the data, by channel."""
     problem = problem_of(fit)
-    seen = np.asarray(problem.weight) > 0
-    row_of_value, _ = np.nonzero(seen)
+    measured = np.asarray(problem.weight) > 0
+    row_of_value, _ = np.nonzero(measured)
     is_of_channel: dict[str, Booleans] = {}
     dimensions: dict[str, str] = {}
     times = {"time": fit.observed["t"]}
-    for row in np.flatnonzero(seen.any(1)):
+    for row in np.flatnonzero(measured.any(1)):
         channel = ROWS_OF_DATA[row]
         is_of_channel[channel] = row_of_value == row
         if channel == "event":
             dimensions[channel] = "measured"
             times["measured"] = np.array([event.name for event in fit.events])
             continue
-        is_timed = seen[row, : len(times["time"])]  # rows that pad the data left out
+        # rows that pad the data left out
+        is_timed = measured[row, : len(times["time"])]
         if is_timed.all():
             dimensions[channel] = "time"
         else:
@@ -124,7 +125,7 @@ def _of_data(
             times[f"time_{channel}"] = times["time"][is_timed]
 
     def by_channel(array: Floats, *outer: str, prefix: str = "") -> dict[str, Any]:
-        """Variables of an array whose last axis is that of the values seen."""
+        """Variables of an array whose last axis is that of the measured values."""
         return {
             prefix + channel: ((*outer, dimension), array[..., is_of_channel[channel]])
             for channel, dimension in dimensions.items()
@@ -136,11 +137,11 @@ def _of_data(
     paths = []
     for parameters in flat.reshape(-1, flat.shape[-1]):
         path = np.asarray(predict_channels(fit.model, parameters, problem))
-        paths.append(path[: len(seen)][seen])
-    sigma = 1 / problem.weight[seen]
-    values = _measured(fit, problem)[seen]
+        paths.append(path[: len(measured)][measured])
+    sigma = 1 / problem.weight[measured]
+    values = _measured(fit, problem)[measured]
     # events are on the clock of the data in `values`, on that of the path in `paths`
-    mean = values + np.array(paths) - problem.observed[seen]
+    mean = values + np.array(paths) - problem.observed[measured]
     noise = whitening_matrix(problem)
     loss = LOSSES[fit.loss]
     replicated = mean + sigma * draw_noise(random, mean.shape, noise, loss)
@@ -174,8 +175,8 @@ def whitening_matrix(problem: Problem) -> Floats | None:
         return None
     import jax
 
-    seen = np.asarray(problem.weight) > 0
-    number = int(seen.sum())
+    measured = np.asarray(problem.weight) > 0
+    number = int(measured.sum())
     if number > _MOST_CORRELATED:
         raise InputError(
             f"{number} values with correlated noise; ArviZ can be given at most "
@@ -183,8 +184,8 @@ def whitening_matrix(problem: Problem) -> Floats | None:
         )
 
     def whitened_values(values: Any) -> Any:
-        residual = jax.numpy.zeros(seen.shape).at[seen].set(values)
-        return whitened(residual, problem.whitener)[seen]
+        residual = jax.numpy.zeros(measured.shape).at[measured].set(values)
+        return whitened(residual, problem.whitener)[measured]
 
     # whitening is linear: its matrix is its derivative, anywhere
     return np.asarray(jax.jacfwd(whitened_values)(np.zeros(number)))

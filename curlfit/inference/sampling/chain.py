@@ -112,9 +112,9 @@ class Chain(Displayed):
     def _by_ensemble(self, series: Floats) -> Floats:
         """What is kept of a series (steps, walkers, ...), by ensemble."""
         kept = series[self.discarded :]
-        steps, walkers, *others = kept.shape
+        steps, walkers, *other_lengths = kept.shape
         in_ensemble = walkers // self.ensembles
-        by_ensemble = kept.reshape(steps, self.ensembles, in_ensemble, *others)
+        by_ensemble = kept.reshape(steps, self.ensembles, in_ensemble, *other_lengths)
         return np.moveaxis(by_ensemble, 0, 2)
 
     def to_frame(self) -> Any:

@@ -274,8 +274,8 @@ class CurvedRidge:
         for index in np.unique(interval).tolist():
             part = self.parts[index]
             assert part is not None  # its share is not 0
-            here = interval == index
-            values[here] = part.draw(int(here.sum()), random)
+            in_interval = interval == index
+            values[in_interval] = part.draw(int(in_interval.sum()), random)
         return values
 
     def unreached(self, values: Floats) -> float:
@@ -292,9 +292,9 @@ class CurvedRidge:
         for index in np.intersect1d(interval, np.flatnonzero(self.shares)).tolist():
             part = self.parts[index]
             assert part is not None  # its share is not 0
-            here = interval == index
+            in_interval = interval == index
             log_share = math.log(self.shares[index])
-            log_density[here] = part.log_density(values[here]) + log_share
+            log_density[in_interval] = part.log_density(values[in_interval]) + log_share
         return log_density
 
 

@@ -149,8 +149,8 @@ class Tasks(NamedTuple):
     def _loss(self) -> int | None:
         """Place of the loss of all problems; None if they differ, as those do of which
         some are still fitted without it."""
-        place, *others = np.unique(self.problems.loss).tolist()
-        return None if others else place
+        place, *other_places = np.unique(self.problems.loss).tolist()
+        return None if other_places else place
 
     def arguments(self, model: Model, control: Control) -> ProgramArguments:
         """Of the programs that solve them."""

@@ -42,8 +42,8 @@ def with_throws(
     if refused:
         status = f"{refused[0].data.file}: {refused[0].status}"
         if len(refused) > 1:
-            others = counted(len(refused) - 1, "other throw")
-            status += f". {others} cannot be used either"
+            other_throws = counted(len(refused) - 1, "other throw")
+            status += f". {other_throws} cannot be used either"
     result = replace(
         result,
         throws=tuple(throws),

@@ -116,12 +116,12 @@ class Draw(NamedTuple):
         time_at = _NearlyPower(-2.0)
         for _ in range(_MOST_MOTIONS):
             _, y, _ = self._paths(coefficients, speed, spin)
-            there = y[:, -1] > LINES["far-hog"]
-            ratio = np.where(there, _hog_to_hog(y) / hog_to_hog, _MUCH_LONGER)
+            reaches_far_hog = y[:, -1] > LINES["far-hog"]
+            ratio = np.where(reaches_far_hog, _hog_to_hog(y) / hog_to_hog, _MUCH_LONGER)
             if not _is_off(ratio):
                 break
             speed = time_at.nearer(speed, ratio)
-        if there.mean() < 0.5:
+        if reaches_far_hog.mean() < 0.5:
             time = float(np.mean(hog_to_hog))
             raise InputError(f"hog to hog {time:g} s: it stops before the far hog line")
         return speed

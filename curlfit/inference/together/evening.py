@@ -47,7 +47,11 @@ def same_in_all(
     standard deviation on other ice; none if one of the throws has a path."""
     if any(throw.has_path for throw in throws):
         return {}
-    return {item.name: item.usual for item in law.coefficients() if item.usual}
+    return {
+        coefficient.name: coefficient.usual
+        for coefficient in law.coefficients()
+        if coefficient.usual
+    }
 
 
 def with_usual_priors(
@@ -88,7 +92,7 @@ def untold_by(throw: Throw, law: type[Law]) -> set[str]:
     curl_is_known = any(event.quantity == "x" for event in throw.events)
     if throw.has_path or curl_is_known:
         return set()
-    return {item.name for item in law.coefficients()} - _slowing(law)
+    return {coefficient.name for coefficient in law.coefficients()} - _slowing(law)
 
 
 def with_untold(fit: FitResult, untold: Mapping[str, Normal]) -> FitResult:
@@ -138,4 +142,9 @@ def _named(choice: Fitting) -> set[str]:
 def _slowing(law: type[Law]) -> set[str]:
     """Coefficients of the law, or of those parts of a sum, that slow a stone."""
     parts = law.parts if issubclass(law, Sum) else (law,)
-    return {item.name for part in parts if part.brakes for item in part.coefficients()}
+    return {
+        coefficient.name
+        for part in parts
+        if part.brakes
+        for coefficient in part.coefficients()
+    }

@@ -289,8 +289,10 @@ class LinearizedThrows(NamedTuple):
         covariates: Floats,
         prior: tuple[Floats, Floats] | None,
     ) -> MixedModel:
-        whole = np.array([*weights.values()]).reshape(len(weights), len(self.typical))
-        directions: Any = np.linalg.pinv(whole * self.typical * self.free)
+        weight_matrix = np.array([*weights.values()]).reshape(
+            len(weights), len(self.typical)
+        )
+        directions: Any = np.linalg.pinv(weight_matrix * self.typical * self.free)
         rows = self.information.scaled
         target = (rows @ self.at[..., None])[..., 0] - self.information.residual
         return MixedModel.of(rows, target, directions, covariates, prior)
@@ -337,8 +339,8 @@ def vary(
         population = linear.joined(weights, covariates, guess)
         fit = population.fit
         centre = reference + typical * fit.estimate[: len(typical)]
-        others = _rows(*fit.predicted_by_others(), linear.at, fit.model.null)
-        rows = np.concatenate([linear.information.rows, others], 1)
+        rows_of_others = _rows(*fit.predicted_by_others(), linear.at, fit.model.null)
+        rows = np.concatenate([linear.information.rows, rows_of_others], 1)
         lower, upper = linear.ends
         move = _moves(rows, fit.model.null, lower - linear.at, upper - linear.at)
         off = np.linalg.norm((rows[..., :-1] @ move[..., None])[..., 0], axis=1).max()
@@ -350,7 +352,7 @@ def vary(
         values = _inside(values, tasks.typical, tasks.lower, tasks.upper)
         solution = at_coefficients(throws, values)
     ended = np.full(len(solution.values), off < _ENDED)
-    of_others = replace(linear.information, rows=others)
+    of_others = replace(linear.information, rows=rows_of_others)
     return population, solution._replace(success=ended), of_others
 
 

@@ -82,7 +82,7 @@ class _SpreadDensity:
         self._model = model
         self._size = np.maximum(optimum, size)
         number = len(optimum)
-        self.names = tuple(str(place) for place in range(number))
+        self.names = tuple(str(index) for index in range(number))
         self.free = np.ones(number, bool)
         centre = np.arcsinh(optimum / self._size)
         covariance = self._covariance_at(centre)

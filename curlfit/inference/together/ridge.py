@@ -154,8 +154,10 @@ def follow_jointly(
         for hold in holds:
             index = int(columns[hold.parameter])
             distances = [
-                np.abs((known.solution.values[0, common] - hold.start) / typical).max()
-                for known in refits
+                np.abs(
+                    (known_refit.solution.values[0, common] - hold.start) / typical
+                ).max()
+                for known_refit in refits
             ]
             nearest = refits[int(np.argmin(distances))]
             start = np.clip(nearest.near(hold.start), tasks.lower, tasks.upper)

@@ -185,8 +185,8 @@ def _linearized(season: Season, share: float) -> LinearizedThrows:
 def _joined(throws: LinearizedThrows, varying: Varying, columns: Floats) -> Population:
     """The mean of throws."""
     weights, spreads = varying
-    seen = throws.along(throws.projection(weights, columns, spreads))
-    return seen.joined(weights, columns, spreads)
+    projected = throws.along(throws.projection(weights, columns, spreads))
+    return projected.joined(weights, columns, spreads)
 
 
 def _equal(

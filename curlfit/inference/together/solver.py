@@ -67,9 +67,9 @@ def minimize_jointly(
         typical,
         penalty,
     )
-    whole = stacked([task])
-    whole = whole._replace(typical=typical, common=common)
-    optimum: Solution = at(solve(model, whole, how), 0)
+    batch = stacked([task])
+    batch = batch._replace(typical=typical, common=common)
+    optimum: Solution = at(solve(model, batch, how), 0)
     values = optimum.values[Blocks.of(common, count).index]
     if progress is not None:
         progress(int(optimum.steps), float(optimum.chi_squared.sum() + optimum.penalty))

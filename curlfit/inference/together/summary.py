@@ -166,10 +166,11 @@ def _chain(
     for along, unit in means.trends.items():
         changes.append(f"{along} per {unit}")
     for by in means.trend_by:
-        first, *others = means.groups[by]
+        first_group, *other_groups = means.groups[by]
         for along, unit in means.trends.items():
             changes += [
-                f"{by} {group} - {first}, {along} per {unit}" for group in others
+                f"{by} {group} - {first_group}, {along} per {unit}"
+                for group in other_groups
             ]
     varying = list(population.weights)
     values = values[:, None]  # one walker
@@ -235,8 +236,8 @@ def _unknown_of_draw(
     scaled = slopes * population.typical
     along_null = np.linalg.norm(scaled @ population.fit.model.null, axis=1)
     along_open = np.linalg.norm(scaled * open_along, axis=1)
-    whole = np.linalg.norm(scaled, axis=1)
-    unseen = np.maximum(along_null, along_open) > _UNSEEN * whole
+    norm = np.linalg.norm(scaled, axis=1)
+    unseen = np.maximum(along_null, along_open) > _UNSEEN * norm
     variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
     errors = np.sqrt(np.maximum(variances, 0.0))
     errors = np.maximum(errors, [least.get(name, 0.0) for name in DRAW])
@@ -296,10 +297,10 @@ class _Quantities(NamedTuple):
                 drawn[0], slopes, means, population, open_along, least
             )
             shown = [name for name in shown if name not in unknown]
-        known = [name for name in population.weights if name not in undetermined]
-        weights = np.array([population.weights[name] for name in known])
-        weights = weights.reshape(len(known), size)
-        units_of_known = {name: units.get(name, "1") for name in known}
+        determined = [name for name in population.weights if name not in undetermined]
+        weights = np.array([population.weights[name] for name in determined])
+        weights = weights.reshape(len(determined), size)
+        units_of_determined = {name: units.get(name, "1") for name in determined}
         units_of_draw = {name: DRAW[name] for name in shown}
         off = np.zeros((0, size))
         if draws is not None:
@@ -307,11 +308,11 @@ class _Quantities(NamedTuple):
         return cls(
             means=means,
             draw=draw,
-            units=units_of_known | units_of_draw,
+            units=units_of_determined | units_of_draw,
             weights=weights,
             slopes=np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
             off=off,
-            least=np.array([least.get(name, 0.0) for name in (*known, *shown)]),
+            least=np.array([least.get(name, 0.0) for name in (*determined, *shown)]),
         )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:

@@ -134,13 +134,13 @@ def _variation(
     from scipy.optimize import brentq  # slow to load
 
     gives_estimate = [estimate is not None for estimate in estimate_by_throw]
-    given = np.array([pair for pair in estimate_by_throw if pair is not None])
+    estimates = np.array([pair for pair in estimate_by_throw if pair is not None])
     regression = _Regression(
-        values=given[:, 0],
-        variances=given[:, 1] ** 2,
-        design=np.column_stack([np.ones(len(given)), covariates[gives_estimate]]),
+        values=estimates[:, 0],
+        variances=estimates[:, 1] ** 2,
+        design=np.column_stack([np.ones(len(estimates)), covariates[gives_estimate]]),
     )
-    degrees = len(given) - np.linalg.matrix_rank(regression.design)
+    degrees = len(estimates) - np.linalg.matrix_rank(regression.design)
     q = regression.fitted(0.0).chi_squared
     between = 0.0  # variance between throws
     if q > degrees:

@@ -52,11 +52,11 @@ def _table(file: TextFile) -> Table:
     likelihoods: dict[int, Likelihood] = {}
     names_of_columns = ["", *names[1 : len(headings)]]
     for name, columns in places_by_name(names_of_columns).items():
-        measured = [place for place in columns if headings[place] != "likelihood"]
+        measured = [column for column in columns if headings[column] != "likelihood"]
         objects[name] = [0, *measured]  # with the frame
-        for place in columns:
-            if headings[place] == "likelihood":
-                of_point = Likelihood(place, _PCUTOFF)
+        for column in columns:
+            if headings[column] == "likelihood":
+                of_point = Likelihood(column, _PCUTOFF)
                 likelihoods |= dict.fromkeys(measured, of_point)
     return replace(
         table,

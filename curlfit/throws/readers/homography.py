@@ -150,10 +150,10 @@ def transform_rows(image: Floats, sheet: Floats) -> Floats:
     map from image to sheet is 0. Two for each point, shape (points, 2, 9)."""
     u, v = image
     x, y = sheet
-    one = np.ones_like(u)
-    zero = np.zeros_like(u)
-    first = np.stack([u, v, one, zero, zero, zero, -x * u, -x * v, -x], 1)
-    second = np.stack([zero, zero, zero, u, v, one, -y * u, -y * v, -y], 1)
+    ones = np.ones_like(u)
+    zeros = np.zeros_like(u)
+    first = np.stack([u, v, ones, zeros, zeros, zeros, -x * u, -x * v, -x], 1)
+    second = np.stack([zeros, zeros, zeros, u, v, ones, -y * u, -y * v, -y], 1)
     return np.stack([first, second], 1)
 
 

@@ -168,10 +168,10 @@ def _rotation(
         column.quantity: table.headings[place] for place, column in columns.items()
     }
     on_ice = [axis_of.get("x", ""), axis_of.get("y", "")]
-    others = set("XYZ") - set(on_ice)
-    if "phi" in axis_of or len(others) != 1:
+    other_axes = set("XYZ") - set(on_ice)
+    if "phi" in axis_of or len(other_axes) != 1:
         return {}
-    vertical = others.pop()
+    vertical = other_axes.pop()
     scalar_part = parts["W"]
     vertical_part = parts[vertical]
     if "".join(on_ice) not in ("XY", "YZ", "ZX"):

@@ -50,13 +50,13 @@ def _table(file: TextFile) -> Table:
     headings = table.headings + [""] * (len(types) - len(table.headings))
     names_of_columns = []
     rotations: dict[str, dict[str, int]] = {}
-    for place, (type, name, kind, heading) in enumerate(
+    for column, (type, name, kind, heading) in enumerate(
         zip(types, names, kinds, headings, strict=False)
     ):
         owner = f"{name} ({type.lower()})"
         names_of_columns.append(owner if kind == "Position" else "")
         if kind == "Rotation":
-            rotations.setdefault(owner, {})[heading] = place
+            rotations.setdefault(owner, {})[heading] = column
     objects = {
         owner: [0, 1, *columns]  # with the frame and the time
         for owner, columns in places_by_name(names_of_columns).items()

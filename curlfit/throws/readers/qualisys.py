@@ -53,7 +53,7 @@ def _table(file: TextFile) -> Table:
         markers.append(coordinate["marker"] if coordinate else "")
         headings.append(coordinate["axis"] if coordinate else heading)
     # The frame and the time stand before the first marker.
-    first_marker = next((place for place, name in enumerate(markers) if name), 0)
+    first_marker = next((column for column, name in enumerate(markers) if name), 0)
     units = "length=mm"
     if "Time" not in headings and frames:
         units += f",t={frames}"

@@ -331,8 +331,8 @@ class Table:
         ----------
         values : the numbers without regard to such marks; None for what is none.
         """
-        whole = map(thousands_of_whole_numbers, columns)
-        thousands = next(filter(None, whole), None)
+        by_column = map(thousands_of_whole_numbers, columns)
+        thousands = next(filter(None, by_column), None)
         if thousands is None and any(None in numbers for numbers in values):
             thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
         if thousands is None:
@@ -422,10 +422,10 @@ class Table:
         columns that have none."""
         if not _may_be_grouped(values[:_FIRST_ROWS]).any():
             return False
-        whole = values == np.round(values)
+        is_whole = values == np.round(values)
         size = np.abs(values)
-        of_three_digits = whole & (size >= 100) & (size < 1000)
-        suspects = _may_be_grouped(values) & of_three_digits.any(0) & ~whole.all(0)
+        of_three_digits = is_whole & (size >= 100) & (size < 1000)
+        suspects = _may_be_grouped(values) & of_three_digits.any(0) & ~is_whole.all(0)
         return bool(suspects.any())
 
     def _cells_of(self, index: int) -> list[str]:
@@ -527,10 +527,10 @@ def _may_be_grouped(values: Floats) -> Booleans:
     """Of each column whether points may separate thousands in its numbers, which were
     read as decimal points."""
     size = np.abs(values)
-    whole = size == np.round(size)
+    is_whole = size == np.round(size)
     below_1000 = np.minimum(size, 1000.0)
     thousandths = np.abs(1000 * below_1000 - np.round(1000 * below_1000)) < 1e-6
-    grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
+    grouped = is_whole | ((size >= 1) & (size < 1000) & thousandths)
     return np.asarray(grouped.all(0))
 
 

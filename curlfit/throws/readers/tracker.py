@@ -58,7 +58,7 @@ def _table(file: TextFile) -> Table:
         titles = [lines[first].strip()]
     elif header != first:
         titles = cells(lines[first], table.separator)
-    starts = [place for place, title in enumerate(titles[: len(headings)]) if title]
+    starts = [column for column, title in enumerate(titles[: len(headings)]) if title]
     if len(starts) < 2:
         starts = _repetitions(headings)
     starts[0] = 0
@@ -70,7 +70,7 @@ def _table(file: TextFile) -> Table:
             title = f"object {number}"
         objects[title] = range(start, end)
     computed = {
-        place for place, name in enumerate(headings) if _COMPUTED.fullmatch(name)
+        column for column, name in enumerate(headings) if _COMPUTED.fullmatch(name)
     }
     return replace(table, headings=headings, objects=objects, computed=computed)
 
@@ -83,9 +83,9 @@ def _repetitions(headings: Sequence[str]) -> list[int]:
     has too."""
     starts = [0]
     of_object = set[str]()
-    for place, heading in enumerate(map(str.lower, headings)):
+    for column, heading in enumerate(map(str.lower, headings)):
         if heading and heading in of_object:
-            starts.append(place)
+            starts.append(column)
             of_object.clear()
         of_object.add(heading)
     return starts

@@ -61,9 +61,9 @@ def _names(file: TextFile, index: int, columns: int) -> list[str]:
     above = headings_in(line)[:columns]
     names = []
     marker = ""
-    for place in range(columns):
-        if 1 < place < len(above) and above[place]:
-            marker = above[place]
+    for column in range(columns):
+        if 1 < column < len(above) and above[column]:
+            marker = above[column]
         names.append(marker)
     return names
 
