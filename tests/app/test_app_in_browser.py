@@ -86,7 +86,6 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     fitted(page)
     wait_for(lambda: in_report(page, "return !!document.querySelector('#replay-0')"))
     frame = page.find_element("css selector", "iframe").rect["height"]
-    inner = 0
     wait_for(lambda: in_report(page, "return document.body.offsetHeight") > 3000)
     inner = in_report(page, "return document.body.offsetHeight")
     wait_for(

@@ -224,9 +224,8 @@ def cells(text):
     depth = 0
     math = False
     opened = []
-    bare = []
     tokens = re.findall(r"\\[a-zA-Z]+|\\.|\\\n|.|\n", body)
-    for position, token in enumerate(tokens):
+    for token in tokens:
         if token == "{":
             depth += 1
         elif token == "}":
@@ -235,13 +234,12 @@ def cells(text):
             math = not math
         elif token in ("_", "^"):
             assert math, f"{token} outside of mathematics"
-            bare.append(position)
         elif token == "#":
             raise AssertionError("a bare #")
         elif re.fullmatch(r"\\[a-zA-Z]+", token):
             assert token[1:] in _KNOWN, token
         elif token in ("&", "\\\\"):
-            assert depth == 0 or opened
+            assert depth == 0
             assert not math, f"{token} within mathematics"
         elif token == "\n":
             assert not math, "mathematics does not end in its line"

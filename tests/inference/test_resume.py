@@ -47,7 +47,9 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(
     unbroken = tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)
     process = started(*fit, *ENDLESS, "--out", struck)
+    until = time.monotonic() + 300
     while process.poll() is None:
+        assert time.monotonic() < until, "the chain has not grown"
         # Moved into place whole, so that it can be read at any moment.
         if (struck / "chain.h5").exists() and len(
             load_chain(struck / "chain.h5").values

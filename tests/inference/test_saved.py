@@ -257,11 +257,9 @@ def test_what_is_of_another_type_is_refused_with_its_key(
     ],
 )
 def test_what_a_law_lacks_has_series_of_one_length(compared, tmp_path, name, change):
-    if compared.lacking is None:
-        n = 12
-        rows = np.ones((3, n))
-        lacking = Lacking("front-back", rows[0], rows[0], rows, rows, rows)
-        compared = replace(compared, lacking=lacking)
+    rows = np.ones((3, 12))
+    lacking = Lacking("front-back", rows[0], rows[0], rows, rows, rows)
+    compared = replace(compared, lacking=lacking)
 
     def changed(record):
         record["lacking"][name] = change(record["lacking"][name])

@@ -256,10 +256,10 @@ def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
     (tmp_path / "a.csv").write_text((folder / "season.csv").read_text())
     settings = json.loads((folder / "season.settings.json").read_text())
     settings["plan"]["law"] = f"{tmp_path}/mine.py:Mine"
-    (tmp_path / "mine.py").write_text("raise SystemExit('run')\n")
+    (tmp_path / "mine.py").write_text("raise SystemExit('the law of a stranger')\n")
     (tmp_path / "a.settings.json").write_text(json.dumps(settings))
     ran = command("fit", "a.csv", "--out", "out", cwd=tmp_path)
-    assert (ran.returncode, "run" in ran.stderr) == (2, False)
+    assert (ran.returncode, "a stranger" in ran.stderr) == (2, False)
 
 
 def test_the_figure_of_a_table_names_all_groups(season):

@@ -257,20 +257,19 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
         end = peer.path(InitialState(y=HOG, v=v, omega=omega), np.array([0.0, 100.0]))[
             :, -1
         ]
-        found = np.array([v, omega, *end]) + random.normal(
-            0, [0.02, 0.05, 0.05, 0.05, 0.6]
-        )
-        found = found * [3.6, 30 / np.pi, 100, 1, 0.5 / np.pi] - [0, 0, 0, TEE, 0]
-        rows.append("{:.4f},{:+.4f},{:+.3f},{:.5f},{:+.4f},0.02".format(*found))
+        noise = random.normal(0, [0.02, 0.05, 0.05, 0.05, 0.6])
+        measured = np.array([v, omega, *end]) + noise
+        written = measured * [3.6, 30 / np.pi, 100, 1, 0.5 / np.pi] - [0, 0, 0, TEE, 0]
+        rows.append("{:.4f},{:+.4f},{:+.3f},{:.5f},{:+.4f},0.02".format(*written))
         states.append((v, omega))
     throws = curlfit.load_throws(write("\n".join(rows)))
     assert {throw.defaults["law"] for throw in throws} == {"power+deflection"}
     joint = curlfit.fit_together(throws, "front-back", share="all")
     assert joint.converged
     for name, value in truth.items():
-        found = joint.derive(name)
-        assert found.stderr < 0.1 * value
-        assert abs(found.value - value) < 3 * found.stderr
+        estimate = joint.derive(name)
+        assert estimate.stderr < 0.1 * value
+        assert abs(estimate.value - value) < 3 * estimate.stderr
     # twelve resting places tell each speed better than its own measurement does
     off = [
         (fit.parameters[name].value - true) / fit.parameters[name].stderr
@@ -388,9 +387,9 @@ def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
 def test_a_prediction_by_a_law_that_cannot_curl_says_so(curled):
     fit = curlfit.fit(curled, "coulomb")
     finding = finding_of(fit, "law-cannot-curl")
-    predicted = curlfit.predict(fit, start={"v0": 2.2}, draws=100)
-    assert finding in predicted.warnings
-    assert describe_rest(predicted)[1] == "It does not curl."
+    prediction = curlfit.predict(fit, start={"v0": 2.2}, draws=100)
+    assert finding in prediction.warnings
+    assert describe_rest(prediction)[1] == "It does not curl."
 
 
 def test_a_path_that_curls_names_its_curl_and_a_straight_one_none():

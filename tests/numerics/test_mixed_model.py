@@ -28,7 +28,6 @@ def dense(rows, target, covariates, variances):
     deviance = 0.0
     normal = 0.0
     right = 0.0
-    square = 0.0
     for block, z, x in zip(rows, target, covariates, strict=True):
         along = block @ DIRECTIONS
         matrix = np.eye(3) + along @ np.diag(variances) @ along.T
@@ -40,7 +39,7 @@ def dense(rows, target, covariates, variances):
         ) - 3 * np.log(2 * np.pi)
     best = np.linalg.solve(normal, right)
     return (
-        deviance + np.linalg.slogdet(normal)[1] - right @ best + square,
+        deviance + np.linalg.slogdet(normal)[1] - right @ best,
         best,
         np.linalg.inv(normal),
     )

@@ -274,12 +274,9 @@ def test_a_range_that_is_too_narrow_says_so(fit):
 def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit, sharp):
     """A fit that stopped short of its optimum."""
     v0 = fit.parameters["v0"]
-    short = {
-        name: replace(estimate, value=estimate.value)
-        for name, estimate in fit.parameters.items()
-    }
-    short["v0"] = replace(v0, value=v0.value + 2 * v0.stderr)
-    profile = curlfit.profile(replace(fit, parameters=short), "mu1_xi", points=9)
+    too_fast = replace(v0, value=v0.value + 2 * v0.stderr)
+    short = replace(fit, parameters={**fit.parameters, "v0": too_fast})
+    profile = curlfit.profile(short, "mu1_xi", points=9)
     assert profile.chi_squared == pytest.approx(sharp.chi_squared, abs=1e-5)
     assert np.nanmin(profile.delta) > -1e-6
 

@@ -297,7 +297,6 @@ def fitted(
         )
         for name, (estimate, weights, why) in asked.items()
     }
-    codes = {warning.code for warning in fit.warnings}
     sampler = ""
     if trial.known:
         try:
