@@ -10,15 +10,22 @@ the residuals least.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from curlfit.friction import NetLaw
+from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.problem import Problem
 from curlfit.inference.model.system import System, motions
-from curlfit.inference.solve.least_squares import Solution
+from curlfit.inference.solve.least_squares import Solution, Tasks, minimize_from
+from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import at
 from curlfit.throws.channels import CHANNELS
 
+MOST_REST_SEARCHES = 20  # each of which moves the rest by up to eight rows
 _ROWS = np.array([-8, -4, -2, -1, 1, 2, 4, 8])  # by which the rest is moved
 # Jump of the spin over its sigma. Between two rows chi squared rises by at most the
 # square of half the jump: here by 1/16, which is no obstacle to a search.
@@ -29,6 +36,31 @@ _STEP = 1e-4  # of differences, over the typical size
 # along one that the data leave open: with 1e-10 the rest moved by 8 s in place of 0.8 s
 # (fcv1 on a log of a simulator), with 1e-8 to 1e-4 it moves as it should.
 _LEVEL = 1e-6
+
+
+def optima_with_other_rests(
+    stack: ThrowStack, tasks: Tasks, optima: Mapping[int, Solution]
+) -> dict[int, list[Solution]]:
+    """What is reached from optima of throws, by row, with the rest of the stone in
+    other rows of a measured spin. Under a robust loss, and with correlated noise, the
+    rest stays in the row where least squares have found it."""
+    model = stack.model
+    problems = tasks.problems
+    if problems.spins is None or not issubclass(model.law, NetLaw):
+        return {}
+    starts = {}
+    for row, optimum in optima.items():
+        is_robust = loss_at(problems.loss[row]).is_robust
+        if not is_robust and not stack.noises[row].sizes:
+            starts[row] = starts_with_other_rests(
+                model,
+                optimum,
+                at(problems, row),
+                tasks.lower[row],
+                tasks.upper[row],
+                tasks.typical,
+            )
+    return minimize_from(model, tasks, starts, stack.batch)
 
 
 def starts_with_other_rests(

@@ -9,8 +9,11 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import Law, NetLaw, no_motion_because
-from curlfit.inference.fit.other_rests import starts_with_other_rests
+from curlfit.friction import Law, no_motion_because
+from curlfit.inference.fit.other_rests import (
+    MOST_REST_SEARCHES,
+    optima_with_other_rests,
+)
 from curlfit.inference.fit.outcome import LeastSquaresFit
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.revisions import revisions
@@ -26,10 +29,10 @@ from curlfit.inference.solve.least_squares import (
     Indices,
     Solution,
     Tasks,
-    minimize_many,
+    is_lower,
+    minimize_from,
     prepare_minimize,
 )
-from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 
@@ -37,8 +40,6 @@ _SAME_START = 1e-3
 """Typical sizes within which initial values are the same."""
 _FACTORS = (1.0, 0.3, 3.0)
 """On the usual coefficients, for other initial values."""
-_ROUNDING = 1e-9
-"""Share of chi squared by which one optimum is not better than another."""
 _EQUAL = 4.0
 """Chi squared within which optima fit equally: two standard deviations ..."""
 _APART = 9.0
@@ -49,8 +50,6 @@ _OVER_RANGE = 0.02
 """... if it is above this share of the range of the data too."""
 _FEWEST = 3
 """Values of a channel from which its rms is judged."""
-_MOST_REST_SEARCHES = 20
-"""Each moves the rest by up to eight rows."""
 
 
 def fitted(stack: ThrowStack) -> list[LeastSquaresFit | CurlfitError]:
@@ -119,21 +118,8 @@ class _Search:
         ----------
         tasks : those of the search, with other bounds; as they are by default.
         """
-        rows = []
-        values = []
-        for row, starts_of_throw in starts.items():
-            for start in starts_of_throw:
-                rows.append(row)
-                values.append(start)
-        if not rows:
-            return {}
-        tasks = (self.tasks if tasks is None else tasks).at(np.array(rows))
-        tasks = tasks._replace(start=np.array(values))
-        solutions = minimize_many(self.stack.model, tasks, self.stack.batch)
-        reached: dict[int, list[Solution]] = {}
-        for row, solution in zip(rows, unstacked(solutions), strict=True):
-            reached.setdefault(row, []).append(solution)
-        return reached
+        tasks = self.tasks if tasks is None else tasks
+        return minimize_from(self.stack.model, tasks, starts, self.stack.batch)
 
     def _tried(self) -> list[list[Solution]]:
         """What is reached from the initial values of each throw: from those that may
@@ -181,36 +167,17 @@ class _Search:
 
     def _search_other_rests(self) -> None:
         """Search on with the rest of the stone in other rows of a measured spin, as
-        long as that leads to lower optima. Under a robust loss, and with correlated
-        noise, the rest stays in the row where least squares have found it."""
-        tasks = self.tasks
-        law = self.stack.model.law
-        if tasks.problems.spins is None or not issubclass(law, NetLaw):
-            return
-        problems = unstacked(tasks.problems)
+        long as that leads to lower optima."""
         due = [
-            row
-            for row, optima_of_throw in enumerate(self.optima)
-            if optima_of_throw
-            and not loss_at(tasks.problems.loss[row]).is_robust
-            and not self.stack.noises[row].sizes
+            row for row, optima_of_throw in enumerate(self.optima) if optima_of_throw
         ]
-        for _ in range(_MOST_REST_SEARCHES):
-            starts = {}
-            for row in due:
-                starts[row] = starts_with_other_rests(
-                    self.stack.model,
-                    self.optima[row][0],
-                    problems[row],
-                    tasks.lower[row],
-                    tasks.upper[row],
-                    tasks.typical,
-                )
+        for _ in range(MOST_REST_SEARCHES):
+            optima = {row: self.optima[row][0] for row in due}
             due = []
-            for row, solutions in self._reached(starts).items():
-                best = self.optima[row][0]
-                self.optima[row] = _best_and_rival([*self.optima[row], *solutions])
-                if self.optima[row][0] is not best:
+            others_by_row = optima_with_other_rests(self.stack, self.tasks, optima)
+            for row, others in others_by_row.items():
+                self.optima[row] = _best_and_rival([*self.optima[row], *others])
+                if self.optima[row][0] is not optima[row]:
                     due.append(row)
             if not due:
                 return
@@ -310,7 +277,7 @@ def _best_first(solutions: Iterable[Solution]) -> list[Solution]:
     for solution in solutions:
         if not np.isfinite(solution.chi_squared):
             continue
-        if ordered and solution.objective < (1 - _ROUNDING) * ordered[0].objective:
+        if ordered and is_lower(solution, ordered[0]):
             ordered.insert(0, solution)
         else:
             ordered.append(solution)

@@ -8,7 +8,7 @@ those that take many steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ from curlfit.numerics.batches import (
     is_worth_optimizing,
     over_stack,
     stacked,
+    unstacked,
 )
 from curlfit.numerics.compiled import compiled
 
@@ -41,6 +42,7 @@ Stacks = tuple[Any, Any, Any, Penalty, Problem]
 
 MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
+_ROUNDING = 1e-9  # share of chi squared by which one optimum is not better than another
 
 
 class Control(NamedTuple):
@@ -325,6 +327,32 @@ def minimize_many(
         control = control._replace(most=2 * control.most)
     solution: Solution = optima
     return solution
+
+
+def is_lower(solution: Solution, other: Solution) -> bool:
+    """Whether one optimum of a problem is better than another, beyond rounding."""
+    return bool(solution.objective < (1 - _ROUNDING) * other.objective)
+
+
+def minimize_from(
+    model: Model, tasks: Tasks, starts: Mapping[int, Sequence[Floats]], batch: int
+) -> dict[int, list[Solution]]:
+    """What is reached from initial values of some of many problems, both by number of
+    the problem; problems without initial values are left out."""
+    rows = []
+    values = []
+    for row, starts_of_problem in starts.items():
+        for start in starts_of_problem:
+            rows.append(row)
+            values.append(start)
+    if not rows:
+        return {}
+    tasks = tasks.at(np.array(rows))._replace(start=np.array(values))
+    solutions = minimize_many(model, tasks, batch)
+    reached: dict[int, list[Solution]] = {}
+    for row, solution in zip(rows, unstacked(solutions), strict=True):
+        reached.setdefault(row, []).append(solution)
+    return reached
 
 
 def _of_one_loss(due: Indices, losses: Any, batch: int) -> Iterator[Indices]:

@@ -13,6 +13,10 @@ from curlfit.errors import Option, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate, Systematics
+from curlfit.inference.fit.other_rests import (
+    MOST_REST_SEARCHES,
+    optima_with_other_rests,
+)
 from curlfit.inference.fit.problems import bounds_of, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
@@ -29,7 +33,7 @@ from curlfit.inference.model.model import Model
 from curlfit.inference.model.priors import Normal
 from curlfit.inference.model.problem import problem_shape, shape_of_all
 from curlfit.inference.model.request import Request
-from curlfit.inference.solve.least_squares import Indices, Solution, Tasks
+from curlfit.inference.solve.least_squares import Indices, Solution, Tasks, is_lower
 from curlfit.inference.together.advice import with_throws
 from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.together.draw import Draw
@@ -197,7 +201,7 @@ def solved_together(
         parameters.typical,
         penalties(requests, first=True),
     )
-    solution = _ended(model, tasks, common, progress)
+    solution = _lowest(stack, tasks, common, progress)
     _require_path(solution, first)
 
     def optima(throws: Indices) -> Solution:
@@ -206,7 +210,7 @@ def solved_together(
 
     for _ in revisions(stack, np.arange(len(requests)), optima):
         tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
-        solution = _ended(model, tasks, common, progress)
+        solution = _lowest(stack, tasks, common, progress)
         _require_path(solution, first)
     for failure in stack.failures.values():
         raise failure
@@ -220,6 +224,34 @@ def _require_path(solution: Solution, request: Request) -> None:
             f"law {request.law.name} with {request.load} load gives no finite path "
             "for these throws" + no_motion_because(request.load)
         )
+
+
+def _lowest(
+    stack: ThrowStack, tasks: Tasks, common: Booleans, progress: Progress | None
+) -> Solution:
+    """The optimum of throws together, searched on with the rest of stones in other rows
+    of a measured spin as long as that leads to lower ones."""
+    lowest = _ended(stack.model, tasks, common, progress)
+    for _ in range(MOST_REST_SEARCHES):
+        values = np.array(lowest.values)
+        lower = np.where(common, values, tasks.lower)
+        upper = np.where(common, values, tasks.upper)
+        held = tasks._replace(lower=lower, upper=upper)
+        optima = dict(enumerate(unstacked(lowest)))
+        others_by_row = optima_with_other_rests(stack, held, optima)
+        for row, others in others_by_row.items():
+            best = optima[row]
+            for other in others:
+                best = other if is_lower(other, best) else best
+            values[row] = best.values
+        if np.array_equal(values, lowest.values):
+            break
+        tasks = tasks._replace(start=values)
+        solution = _ended(stack.model, tasks, common, progress)
+        if not solution.objective.sum() < lowest.objective.sum():
+            break
+        lowest = solution._replace(steps=lowest.steps + solution.steps)
+    return lowest
 
 
 def _ended(
