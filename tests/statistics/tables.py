@@ -76,7 +76,8 @@ class Table(list[str]):
 
     def put(self, name: str, before: str = "") -> None:
         """Replace a table in README.md, with a sentence before it."""
-        put(name, f"{before}\n\n" * bool(before) + "\n".join(self) + "\n")
+        lines = [before, ""] if before else []
+        put(name, "\n".join([*lines, *self]) + "\n")
 
 
 def law_and_set(line: str) -> tuple[str, str]:

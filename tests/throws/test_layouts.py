@@ -104,7 +104,7 @@ def grouped(value: float, thousands: str, decimal: str) -> str:
     ],
 )
 def test_thousands_may_be_separated(write, thousands, decimal, separator):
-    quote = '"' * (separator == ",")
+    quote = '"' if separator == "," else ""
     head = separator.join(["t (s)", "x (mm)", "y (mm)", "angle (rad)"])
     rows = [
         separator.join(

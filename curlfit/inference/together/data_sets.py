@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.foreign import file_and_number
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import NOISE
@@ -106,7 +107,7 @@ def data_sets(data: Iterable[Throw | FrictionTable]) -> list[DataSet]:
             data_set = DataSet(part.name, (part,))
         name = part.name
         if data_set.kind == "throws":
-            name = name.partition(" row ")[0]
+            name, _ = file_and_number(name)
         while name in sets and not sets[name].kind == data_set.kind == "throws":
             name += "'"  # another of the same name
         earlier = sets[name].throws if name in sets else ()
@@ -213,9 +214,9 @@ class LawOnSets:
         throw = self.stack.requests[row].throw
         if channel < _LAST:
             return f"{ROWS_OF_DATA[channel]} at {throw.t[place]:.4g} s"
-        _, row_of, number = throw.name.partition(" row ")
+        _, number = file_and_number(throw.name)
         event = throw.events[place].name
-        return f"{event} of{row_of}{number}" if row_of else event
+        return f"{event} of row {number}" if number else event
 
     def of_set(self, number: int) -> Booleans:
         """Which throws and tables are those of a data set."""
