@@ -149,6 +149,8 @@ def draw_to_the_tee(law: str, coefficients: Mapping[str, float], turns: float) -
     # distance goes nearly with v^2, the angle with the spin: to 1 mm and 1e-4 rad
     for _ in range(8):
         draw = thrown(law, coefficients, v, w)
+        if abs(draw.rest) < 1e-3 and abs(draw.turns - turns) < 1e-4:
+            break
         v *= np.sqrt(HOG_TO_TEE / (HOG_TO_TEE + draw.rest))
         w *= turns / draw.turns
     return draw

@@ -21,7 +21,7 @@ from independent_laws import FORMULAS, motion_of_the_whole, reference
 from independent_motion import Accuracy, G, Motion, Reference, Start, integrated
 
 NODES = 24
-ACCURACY = Accuracy(relative=1e-8, absolute=1e-8, rest=1e-6)
+ACCURACY = Accuracy(relative=1e-6, absolute=1e-6, rest=1e-6)
 LONGEST = 300.0  # s
 
 
