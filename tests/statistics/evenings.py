@@ -109,6 +109,8 @@ class Draw(NamedTuple):
     """m, to the left"""
     turns: float
     """rad, counter-clockwise"""
+    friction: float
+    """mean deceleration over gravity"""
 
 
 class Answer(NamedTuple):
@@ -130,7 +132,8 @@ def thrown(law: str, coefficients: Mapping[str, float], v: float, w: float) -> D
     motion = moved(law, coefficients, v, w)
     x, y, turns = motion.at(np.array([motion.end]))[:, 0]
     hog = crossing(motion, HOG_TO_HOG) if y > HOG_TO_HOG else np.nan
-    return Draw(hog, motion.end - hog, y - HOG_TO_TEE, -x, turns)
+    friction = v**2 / (2 * GRAVITY * y)
+    return Draw(hog, motion.end - hog, y - HOG_TO_TEE, -x, turns, friction)
 
 
 def weight_of(law: str, coefficients: Mapping[str, float], w: float) -> float:
@@ -154,6 +157,17 @@ def draw_to_the_tee(law: str, coefficients: Mapping[str, float], turns: float) -
         v *= np.sqrt(HOG_TO_TEE / (HOG_TO_TEE + draw.rest))
         w *= turns / draw.turns
     return draw
+
+
+def friction_exponent(truth: Truth, ice: np.ndarray, turns: float) -> float:
+    """Of the friction of the law in the mean friction of a draw to the tee: where
+    friction rises as a stone slows down, that of a faster stone rises less."""
+    factors = np.array([0.95, 1.05])
+    less, more = (
+        draw_to_the_tee(truth.law, truth.at(*ice * (factor, 1.0)), turns).friction
+        for factor in factors
+    )
+    return float(np.log(more / less) / np.log(factors[1] / factors[0]))
 
 
 def measured(
@@ -315,9 +329,10 @@ def answers_of(
         )
         for sheet in (1, 2)
     )
+    exponent = friction_exponent(truth, evening.ice, turn)
     truths = {
-        "friction of the sheets": evening.apart[0],
-        "friction per hour": evening.rising,
+        "friction of the sheets": exponent * evening.apart[0],
+        "friction per hour": exponent * evening.rising,
         "curl of the sheets": abs(second.curl) - abs(first.curl),
         "curl per hour": 0.0,
     }
