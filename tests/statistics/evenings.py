@@ -394,7 +394,7 @@ def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]
         answers_of(TRUTHS[truth], COLUMNS[columns], seed) for seed in range(evenings)
     ]
     usable = [evening for evening in tried if evening[0]]
-    yield (truth, columns, "usable", f"{len(usable)} of {len(tried)}", "", "", "")
+    yield (truth, columns, "usable", f"{len(usable)} of {len(tried)}", "", "", "", "")
     for question in {name: None for answers, _ in usable for name in answers}:
         mine = [answers[question] for answers, _ in usable if question in answers]
         counts = []
