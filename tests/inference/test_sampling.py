@@ -21,7 +21,7 @@ from scipy.optimize import linprog
 import curlfit
 from curlfit import Stone, fit, load_chain, sample
 from curlfit.inference.sampling.ridge import RidgeProposal, _extent, proposed
-from curlfit.inference.sampling.sampler import SideBySide
+from curlfit.inference.sampling.sampler import Ensemble, SideBySide
 from curlfit.inference.sampling.summary import Diagnosis, steps_to_discard
 
 
@@ -91,6 +91,19 @@ def test_a_run_that_is_too_short_says_so():
     result, _ = sample(fit(filmed()), most_steps=20)
     assert not result.posterior.converged
     assert result.posterior.status.startswith("not converged after 20 steps")
+
+
+def test_ctrl_c_is_not_lost_while_emcee_sets_its_random_numbers(monkeypatch):
+    class Interrupted(np.random.RandomState):
+        def set_state(self, state):
+            raise KeyboardInterrupt
+
+    sampler = Ensemble(8, 2, lambda x: np.zeros(len(x)), vectorize=True)
+    coords = np.random.default_rng(0).normal(size=(8, 2))
+    last = sampler.run_mcmc(coords, 1)
+    monkeypatch.setattr(sampler, "_random", Interrupted())
+    with pytest.raises(KeyboardInterrupt):
+        sampler.run_mcmc(last, 1)
 
 
 def _run(move, log_prob, coords, steps, seed=0):

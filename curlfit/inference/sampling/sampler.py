@@ -72,6 +72,25 @@ class SideBySide(emcee.moves.RedBlueMove):
         return np.concatenate(coords), np.concatenate(factors)
 
 
+class Ensemble(emcee.EnsembleSampler):
+    """emcee's sampler, in which Ctrl-C always ends a run.
+
+    emcee sets the state of its random numbers within a bare `except`, which drops a
+    Ctrl-C that comes there: one in 150.
+    """
+
+    @property
+    def random_state(self) -> Any:
+        """State of the random numbers, as of `numpy.random.RandomState`; None, where a
+        run begins without one, leaves it as it is."""
+        return self._random.get_state()
+
+    @random_state.setter
+    def random_state(self, state: Any) -> None:
+        if state is not None:
+            self._random.set_state(state)
+
+
 def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
     """Start to compile what sampling of a problem needs."""
     log_posterior.prepare(
@@ -149,7 +168,7 @@ class Run:
             SideBySide(emcee.moves.DEMove(sigma=_JITTER)),
         ]
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
-        self._sampler = emcee.EnsembleSampler(
+        self._sampler = Ensemble(
             self._walkers,
             int(self._density.free.sum()),
             self._density.log,
