@@ -6,7 +6,6 @@ last rows.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from curlfit.inference.fit.other_rests import (
 )
 from curlfit.inference.fit.problems import problem_of
 from curlfit.inference.model.likelihood import chi_squared_of_many
-from curlfit.inference.solve.least_squares import MOST_STEPS, Tasks, minimize_many
+from curlfit.inference.solve.least_squares import Tasks, minimize_many
 from curlfit.inference.together.fit import solved_together
 from curlfit.inference.together.request import JointRequest
 from curlfit.numerics.batches import stacked, unstacked
@@ -241,14 +240,12 @@ def test_a_spin_that_ends_without_a_jump_needs_no_other_starts():
 @pytest.mark.parametrize("law", ["semi-empirical", "denny-1998"])
 def test_without_its_spin_a_log_is_fitted_too(law):
     """The path then knows no more of the spin than its sign, and searches wander along
-    what is level. The limit of steps is named where it was reached alone."""
+    what is level."""
     log = load(1)
     throw = curlfit.Throw.from_arrays(log.t, log.x, log.y)
     fit = curlfit.fit(throw, law, details=False)
     assert fit.converged
     assert fit["omega0"].verdict == "not identifiable"
-    limits = re.findall(r"at the limit of (\d+)", fit.status)
-    assert all(int(steps) >= MOST_STEPS for steps in limits)
 
 
 @pytest.mark.parametrize("phase", [0.05, 0.35, 0.65, 0.95])

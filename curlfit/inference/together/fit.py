@@ -27,7 +27,7 @@ from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.fit.throw_stack import ThrowStack
 from curlfit.inference.information.combinations import Combination
 from curlfit.inference.information.covariance import Covariance
-from curlfit.inference.information.information import Marginal
+from curlfit.inference.information.information import Information, Marginal
 from curlfit.inference.information.verdict import Verdict
 from curlfit.inference.model.model import Model
 from curlfit.inference.model.priors import Normal
@@ -306,39 +306,25 @@ def _equal(
     same_names = same_in_all(
         [request.throw for request in stack.requests], stack.model.law
     )
-    same = np.isin(parameters.names, [*same_names])
+    same = np.isin(shared, [*same_names])
     # With what is usual as a prior, an evening of draws is near a quadratic.
     is_evening = bool(same.any()) and len(stack.requests) >= VARYING
     throws, ridge = _throws_and_ridge(together, given, quadratic=is_evening)
     first = throws[0]
     coefficients = {name: first.parameters[name] for name in shared}
-    combinations = tuple(
-        combination
-        for combination in first.combinations
-        if set(combination.weights) <= set(shared)
-    )
     marginal = together.information(solution).marginal(common)
-    verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
-    if tasks.penalty.informative:
-        by_data = Covariance.of(marginal.information.together().held(same[common]))
-        departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
-        not_varying = {*same_names, *parameters.fixed}
-        verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
-        by_expression = {
-            combination.expression: combination
-            for combination in (*departures.kept(by_data.combinations), *combinations)
-        }
-        combinations = tuple(by_expression.values())
+    verdicts, combinations = _said_of_shared(
+        together, marginal.information, first, same, ridge
+    )
+    known = weights_of_known(verdicts, combinations, shared)
     weights = {
         expression: of_sum
-        for expression, of_sum in weights_of_known(
-            verdicts, combinations, shared
-        ).items()
-        if not of_sum[same[common]].any()
+        for expression, of_sum in known.items()
+        if not of_sum[same].any()
     }
 
-    may_differ = tasks.free[0, common] & ~same[common]
-    jointly = marginal.information.slopes * may_differ
+    # how throws differ in what they determine together
+    jointly = marginal.information.slopes * (tasks.free[0, common] & ~same)
     best = dict(zip(shared, solution.values[0, common].tolist(), strict=True))
     variations = _variations(together, best, untold, weights, jointly)
     names_of_law = [coefficient.name for coefficient in stack.model.law.coefficients()]
@@ -349,12 +335,12 @@ def _equal(
         if not of_sum[~of_law].any()
     }
     varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
-
     differing = {
         expression: variation
         for expression, variation in variations.items()
         if variation.significant
     }
+
     expressions = {
         *shared,
         *(combination.expression for combination in combinations),
@@ -380,6 +366,43 @@ def _equal(
     )
     result = with_throws(result, throws, solution)
     return _Equal(result, varying, ridge, weights, jointly)
+
+
+def _said_of_shared(
+    together: Together,
+    of_shared: Information,
+    first: FitResult,
+    same: Booleans,
+    ridge: JointRidge | None,
+) -> tuple[dict[str, Verdict], tuple[Combination, ...]]:
+    """Verdicts of the shared parameters, by name, and their combinations: those in the
+    record of the first throw and, with priors, what the data say without them.
+
+    Parameters
+    ----------
+    of_shared : what all throws say of the shared parameters, shape (p, p + 1).
+    same : which of these have one value by assumption, shape (p,).
+    """
+    parameters = together.stack.requests[0].parameters
+    shared = parameters.names_where(together.common)
+    coefficients = {name: first.parameters[name] for name in shared}
+    verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
+    combinations = [
+        combination
+        for combination in first.combinations
+        if set(combination.weights) <= set(shared)
+    ]
+    if not together.tasks.penalty.informative:
+        return verdicts, tuple(combinations)
+    by_data = Covariance.of(of_shared.together().held(same))
+    departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
+    not_varying = {*np.array(shared)[same].tolist(), *parameters.fixed}
+    verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
+    by_expression = {
+        combination.expression: combination
+        for combination in (*departures.kept(by_data.combinations), *combinations)
+    }
+    return verdicts, tuple(by_expression.values())
 
 
 def _variations(
