@@ -31,10 +31,10 @@ def fit_of(file: str, law: str) -> curlfit.FitResult:
 def fits_at_spins(
     file: str, law: str, lowest: float, highest: float
 ) -> dict[float, curlfit.FitResult]:
-    """The fits of a throw at 60 spins that are held."""
+    """The fits of a throw at 30 spins that are held."""
     throw = curlfit.load_throw(FOLDER / file)
     fits = {}
-    for spin in np.geomspace(lowest, highest, 60).tolist():
+    for spin in np.geomspace(lowest, highest, 30).tolist():
         fix = {"omega0": spin}
         fits[spin] = curlfit.fit(throw, law, sigma=NOISE, fix=fix, details=False)
     return fits

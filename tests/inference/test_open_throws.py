@@ -6,6 +6,7 @@ released with 2.1 m/s and 1.1 rad/s (0 in `no_spin_...`; 2.12 m/s and -1.44 rad/
 """
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,18 @@ NOISE = {"x": 0.005, "y": 0.005}
 NOT_KNOWN = ("weak", "not identifiable")
 
 
-def fits_of(file: str, law: str, **choices) -> list[curlfit.FitResult]:
+@cache
+def fit_of(file: str, law: str) -> curlfit.FitResult:
+    """The fit of a throw as `curlfit fit` makes it."""
+    throw = curlfit.load_throw(FOLDER / file)
+    return curlfit.fit(throw, law, sigma=NOISE, details=False)
+
+
+def fits_of(file: str, law: str) -> list[curlfit.FitResult]:
     """The fit of a throw as `curlfit fit` and as `curlfit batch` make it."""
     throw = curlfit.load_throw(FOLDER / file)
-    (beside_others,) = fit_throws([throw], law, **choices)
-    return [curlfit.fit(throw, law, details=False, **choices), beside_others]
+    (beside_others,) = fit_throws([throw], law, sigma=NOISE)
+    return [fit_of(file, law), beside_others]
 
 
 def curve_warning(fit: curlfit.FitResult) -> str:
@@ -33,7 +41,7 @@ def curve_warning(fit: curlfit.FitResult) -> str:
 
 def test_without_the_angle_nothing_tells_the_force_from_the_spin():
     """Only b omega0 enters: 0.05 times 1.1."""
-    for fit in fits_of("no_angle_transverse.csv", "power+transverse", sigma=NOISE):
+    for fit in fits_of("no_angle_transverse.csv", "power+transverse"):
         assert {fit["b"].verdict, fit["omega0"].verdict} <= {*NOT_KNOWN}
         assert not fit.combinations
         assert fit["c"].verdict == "determined"
@@ -44,9 +52,9 @@ def test_without_the_angle_nothing_tells_the_force_from_the_spin():
 
 
 def test_a_known_spin_determines_what_the_warning_says():
-    (open_, _) = fits_of("no_angle_transverse.csv", "power+transverse", sigma=NOISE)
-    throw = curlfit.load_throw(FOLDER / "no_angle_transverse.csv")
     law = "power+transverse"
+    open_ = fit_of("no_angle_transverse.csv", law)
+    throw = curlfit.load_throw(FOLDER / "no_angle_transverse.csv")
     with_spin = curlfit.fit(
         throw, law, sigma=NOISE, priors={"omega0": "1.1+-0.05"}, details=False
     )
@@ -57,7 +65,7 @@ def test_a_known_spin_determines_what_the_warning_says():
 
 
 def test_the_forward_friction_is_determined_without_the_angle():
-    for fit in fits_of("no_angle_front_back.csv", "front-back", sigma=NOISE):
+    for fit in fits_of("no_angle_front_back.csv", "front-back"):
         assert fit["mu1_xi"].verdict in NOT_KNOWN
         assert fit["mu2_xi"].verdict in NOT_KNOWN
         assert fit["omega0"].verdict in NOT_KNOWN
@@ -78,27 +86,28 @@ def test_the_forward_friction_is_determined_beside_a_sideways_force():
 
 def test_a_coefficient_at_its_bound_by_chance_determines_no_other():
     """The speed v_b is 1.87 m/s, r 2.3; with r at its upper bound it is 1.50 m/s."""
-    throw = curlfit.load_throw(FOLDER / "no_angle_sutor.csv")
-    fit = curlfit.fit(throw, "sutor", sigma=NOISE, details=False)
+    fit = fit_of("no_angle_sutor.csv", "sutor")
     assert {fit["r"].verdict, fit["v_b"].verdict} <= {*NOT_KNOWN}
     assert fit["v0"].verdict == "determined"
 
 
 def test_two_times_determine_no_exponent():
     """Each exponent from -0.7 to 1 has values that fit exactly."""
-    for fit in fits_of("two_times.txt", "power"):
-        assert {fit[name].verdict for name in ("c", "k", "v0")} <= {*NOT_KNOWN}
-        assert not fit.combinations
-        assert "k from -0.7 to" in curve_warning(fit)
+    throw = curlfit.load_throw(FOLDER / "two_times.txt")
+    fit = curlfit.fit(throw, "power", details=False)
+    assert {fit[name].verdict for name in ("c", "k", "v0")} <= {*NOT_KNOWN}
+    assert not fit.combinations
+    assert "k from -0.7 to" in curve_warning(fit)
 
 
 def test_of_a_stone_that_may_not_have_spun_no_force_of_the_spin_is_known():
     """The force is 0.005 m/s^2 to either side; without spin there is none."""
+    throw = curlfit.load_throw(FOLDER / "no_spin_semi_empirical.csv")
     sigma = NOISE | {"phi": 0.01}
-    for fit in fits_of("no_spin_semi_empirical.csv", "semi-empirical", sigma=sigma):
-        assert fit["a"].verdict in NOT_KNOWN
-        assert fit["c"].verdict == "determined"
-        assert fit["c"].value == pytest.approx(0.085, abs=2 * fit["c"].stderr)
+    fit = curlfit.fit(throw, "semi-empirical", sigma=sigma, details=False)
+    assert fit["a"].verdict in NOT_KNOWN
+    assert fit["c"].verdict == "determined"
+    assert fit["c"].value == pytest.approx(0.085, abs=2 * fit["c"].stderr)
 
 
 def test_a_table_of_friction_determines_no_scale_of_the_spin():
@@ -119,9 +128,7 @@ def test_a_table_of_friction_determines_no_scale_of_the_spin():
 )
 def test_the_posterior_does_not_contradict_a_verdict(file, law):
     """What is called determined is as narrow in the posterior as its error says."""
-    throw = curlfit.load_throw(FOLDER / file)
-    fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
-    fit, _ = curlfit.sample(fit, seed=1, effective=500)
+    fit, _ = curlfit.sample(fit_of(file, law), seed=1, effective=500)
     sd = fit.posterior.sd
     mean = fit.posterior.mean
     names = [name for name in fit.parameters if fit[name].verdict == "determined"]
@@ -141,7 +148,7 @@ def test_the_posterior_does_not_contradict_a_verdict(file, law):
 )
 def test_compare_says_of_a_throw_what_its_fit_says(file, law):
     throw = curlfit.load_throw(FOLDER / file)
-    fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
+    fit = fit_of(file, law)
     (candidate,) = curlfit.compare(throw, [law], sigma=NOISE).candidates
     verdicts = {
         name: coefficient["verdict"]

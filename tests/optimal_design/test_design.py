@@ -139,7 +139,11 @@ def without_angle(law, throws=1, **options):
 
 
 @pytest.mark.parametrize(
-    ("law", "turning"), [("power-angular", "f0"), ("power+pivot", "q")]
+    ("law", "turning"),
+    [
+        ("power-angular", "f0"),
+        pytest.param("power+pivot", "q", marks=pytest.mark.slow),
+    ],
 )
 def test_without_the_angle_a_design_says_what_fits_of_the_throw_say(law, turning):
     """Only the product of what turns the path and the spin enters."""

@@ -125,7 +125,6 @@ QUICK = """
     check DATA/jensen_shegelski_2004.csv
     fit DATA/jensen_shegelski_2004.csv --no-sample --out fitted
     fit DATA/jensen_shegelski_2004.csv --bound mu2_xi=0:0.05 --no-sample --out bounded
-    fit DATA/evening.csv --no-sample --out evening
     show fitted
     report fitted
     export fitted --to csv --to latex
