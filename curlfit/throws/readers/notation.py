@@ -21,6 +21,7 @@ _INCHES = re.compile(r"(?<=\d)\s*(?:[\"\u2033\u201d]|['\u2032\u2019]{2})")
 _FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
 _IN_QUOTES = re.compile(r"^([\"'])(.*)\1$")
 _IN_FRONT = re.compile(r"\bin\s+front\b", re.I)  # not in inches
+_COUNTER_CLOCKWISE = re.compile(r"\b(counter|anti)[\s-]+(?=clock)", re.I)
 _UNIT = re.compile(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]")
 _RATE = re.compile(r"(?:[^\W\d_]+|°)(?:\s*/\s*[^\W\d_]+)?[.]?")  # km/h, °/s
 _FILLING = set(WORDS["filling"].split())
@@ -69,7 +70,7 @@ def parse_quantity(
         time = time_by_watch(text)
         if time is not None:
             return Quantity(time, signed=False, words=frozenset())
-    plain = _units_as_words(text, quantity)
+    plain = _in_words(text, quantity)
     numbers, rest = _leading_numbers(plain, text, quantity, unit)
     words = _words(rest)
     if not (numbers or words) or not all(map(_is_known, words)):
@@ -86,15 +87,16 @@ def parse_quantity(
     return Quantity(-value if negative else value, bool(sign), directions)
 
 
-def _units_as_words(text: str, quantity: str) -> str:
-    """A text with the marks of feet and inches as words. A last mark of inches belongs
-    to the number, unless the text begins with one too."""
+def _in_words(text: str, quantity: str) -> str:
+    """A text with the marks of feet and inches as words, and each direction as one. A
+    last mark of inches belongs to the number, unless the text begins with one too."""
     words = text.strip()
     if units_of(quantity) is units_of("x"):
         words = _IN_QUOTES.sub(r"\2", words).lstrip("\"'")
         words = _INCHES.sub(" in ", words)  # before feet: '' are inches
         words = _FEET.sub(" ft ", words)
-    return _IN_FRONT.sub("front", words.strip("\"'").strip())
+    words = _IN_FRONT.sub("front", words.strip("\"'").strip())
+    return _COUNTER_CLOCKWISE.sub(r"\1", words)
 
 
 def _leading_numbers(
@@ -150,8 +152,7 @@ def _unknown_unit(text: str, quantity: str, unit: str) -> InputError:
 
 def _words(text: str) -> list[str]:
     """The words after a number, and further numbers."""
-    joined = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", text)
-    return re.findall(r"[^\W\d_]+|\d[\d.,]*", joined.lower())
+    return re.findall(r"[^\W\d_]+|\d[\d.,]*", text.lower())
 
 
 def _is_known(word: str) -> bool:
