@@ -100,6 +100,12 @@ def test_settings_and_other_comments(write):
         ("t,x,y,phi\n", 1, None, "no rows"),
         ("0,0,0,0\n1,1,1,1\n", 1, None, "expected a header"),
         (PLAIN.replace("x", "z"), 1, None, "no column for x among t, z, y, phi"),
+        (
+            "lap,end\n13.2,0.5\n",
+            1,
+            None,
+            "or of a stopwatch such as hog_to_hog,rest; or say which they are",
+        ),
         (PLAIN.replace("phi", "x_cm"), 1, None, "both mean x"),
         (
             PLAIN.replace("0.2", "hello"),

@@ -33,7 +33,13 @@ from curlfit.inference.model.model import Model
 from curlfit.inference.model.priors import Normal
 from curlfit.inference.model.problem import problem_shape, shape_of_all
 from curlfit.inference.model.request import Request
-from curlfit.inference.solve.least_squares import Indices, Solution, Tasks, is_lower
+from curlfit.inference.solve.least_squares import (
+    Control,
+    Indices,
+    Solution,
+    Tasks,
+    is_lower,
+)
 from curlfit.inference.together.advice import with_throws
 from curlfit.inference.together.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.together.draw import Draw
@@ -49,7 +55,12 @@ from curlfit.inference.together.posterior import drawn_for_others, sampled
 from curlfit.inference.together.request import VARYING, JointRequest
 from curlfit.inference.together.result import DeterminedTogether, JointResult, Variation
 from curlfit.inference.together.ridge import JointRidge, follow_jointly
-from curlfit.inference.together.solver import Progress, minimize_jointly
+from curlfit.inference.together.solver import (
+    BEFORE_VARIATION,
+    JOINT,
+    Progress,
+    minimize_jointly,
+)
 from curlfit.inference.together.summary import about_mean
 from curlfit.inference.together.variation import (
     Varying,
@@ -145,8 +156,11 @@ def fit_joint_request(
         from its data.
     """
     first = request.throws[0]
+    throws = [of_throw.throw for of_throw in request.throws]
+    is_evening = bool(same_in_all(throws, first.law))
+    control = BEFORE_VARIATION if is_evening and request.may_vary else JOINT
     together = solved_together(
-        request.throws, request.shared, request.covariates, progress
+        request.throws, request.shared, request.covariates, progress, control
     )
     equal = _equal(together, first.systematics, request.untold)
     result = equal.result
@@ -161,13 +175,11 @@ def fit_joint_request(
             slopes=(),
             slope_differences=(),
         )
-    throws = tuple(
-        replace(throw, quantities=quantities_of(throw)) for throw in result.throws
+    records = tuple(
+        replace(record, quantities=quantities_of(record)) for record in result.throws
     )
-    odd_rows = dict.fromkeys(
-        odd_row for of_throw in request.throws for odd_row in of_throw.throw.odd_rows
-    )
-    result = replace(result, throws=throws, odd_rows=tuple(odd_rows))
+    odd_rows = dict.fromkeys(odd_row for throw in throws for odd_row in throw.odd_rows)
+    result = replace(result, throws=records, odd_rows=tuple(odd_rows))
     return result.with_derived(first.derive)
 
 
@@ -176,6 +188,7 @@ def solved_together(
     shared: Sequence[str],
     covariates: Covariates,
     progress: Progress | None,
+    control: Control = JOINT,
 ) -> Together:
     """The throws at their optimum with equal values of the shared coefficients.
 
@@ -201,7 +214,7 @@ def solved_together(
         parameters.typical,
         penalties(requests, first=True),
     )
-    solution = _lowest(stack, tasks, common, progress)
+    solution = _lowest(stack, tasks, common, progress, control)
     _require_path(solution, first)
 
     def optima(throws: Indices) -> Solution:
@@ -210,7 +223,7 @@ def solved_together(
 
     for _ in revisions(stack, np.arange(len(requests)), optima):
         tasks = tasks._replace(start=solution.values, penalty=penalties(requests))
-        solution = _lowest(stack, tasks, common, progress)
+        solution = _lowest(stack, tasks, common, progress, control)
         _require_path(solution, first)
     for failure in stack.failures.values():
         raise failure
@@ -227,11 +240,15 @@ def _require_path(solution: Solution, request: Request) -> None:
 
 
 def _lowest(
-    stack: ThrowStack, tasks: Tasks, common: Booleans, progress: Progress | None
+    stack: ThrowStack,
+    tasks: Tasks,
+    common: Booleans,
+    progress: Progress | None,
+    control: Control,
 ) -> Solution:
     """The optimum of throws together, searched on with the rest of stones in other rows
     of a measured spin as long as that leads to lower ones."""
-    lowest = _ended(stack.model, tasks, common, progress)
+    lowest = _ended(stack.model, tasks, common, progress, control)
     for _ in range(MOST_REST_SEARCHES):
         values = np.array(lowest.values)
         lower = np.where(common, values, tasks.lower)
@@ -247,7 +264,7 @@ def _lowest(
         if np.array_equal(values, lowest.values):
             break
         tasks = tasks._replace(start=values)
-        solution = _ended(stack.model, tasks, common, progress)
+        solution = _ended(stack.model, tasks, common, progress, control)
         if not solution.objective.sum() < lowest.objective.sum():
             break
         lowest = solution._replace(steps=lowest.steps + solution.steps)
@@ -255,17 +272,21 @@ def _lowest(
 
 
 def _ended(
-    model: Model, tasks: Tasks, common: Booleans, progress: Progress | None
+    model: Model,
+    tasks: Tasks,
+    common: Booleans,
+    progress: Progress | None,
+    control: Control,
 ) -> Solution:
     """The optimum of throws together; a search at its limit of steps goes on, as along
     a ridge it may have to."""
-    solution = minimize_jointly(model, tasks, common, progress)
+    solution = minimize_jointly(model, tasks, common, progress, control)
     for _ in range(_MORE_SEARCHES):
         if np.all(solution.success) or not np.isfinite(solution.chi_squared).all():
             break
         steps = solution.steps
         tasks = tasks._replace(start=solution.values)
-        solution = minimize_jointly(model, tasks, common, progress)
+        solution = minimize_jointly(model, tasks, common, progress, control)
         solution = solution._replace(steps=solution.steps + steps)
     return solution
 

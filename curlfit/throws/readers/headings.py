@@ -209,6 +209,9 @@ class Headings(NamedTuple):
     def _missing(self, missing: Sequence[str], *, has_frames: bool) -> DataError:
         """The error of columns that are missing, with what would make other columns
         these; numbers of frames become times."""
+        expected = EXPECTED
+        if not has_frames and {"t", "x", "y"} <= {*missing}:
+            expected += ", or of a stopwatch such as hog_to_hog,rest"
         if has_frames and "t" in missing:
             option = Option("units", "t=30fps")
             remedy = f"{option}, with the camera's rate, makes frames times"
@@ -223,7 +226,7 @@ class Headings(NamedTuple):
             remedy = f"or say which they are, as in {option}"
         return self.error(
             f"no column for {' and '.join(missing)} among {_listed(self.names)}; "
-            f"{EXPECTED}; {remedy}",
+            f"{expected}; {remedy}",
             options=(option,),
         )
 
