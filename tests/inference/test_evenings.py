@@ -98,6 +98,17 @@ def test_what_one_draw_does_not_tell_no_comparison_of_draws_tells():
     assert joint.coefficients["c"].stderr == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("name", ["c", "k"])
+def test_one_coefficient_of_draws_may_be_shared_and_the_other_is_each_ones_own(name):
+    throws = curlfit.load_throws(FOLDER / "slip.csv")[:4]
+    joint = curlfit.fit_together(throws, share=name)
+    assert joint.converged
+    assert joint.share == (name,)
+    (other,) = {"c", "k"} - {name}
+    values = {throw.parameters[other].value for throw in joint.throws}
+    assert len(values) == 4
+
+
 def test_what_a_throw_says_alone_is_its_fit_with_what_all_have_in_common():
     """How curl depends on spin is the same for all draws of an evening, and no draw
     tells it."""

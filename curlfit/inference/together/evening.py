@@ -128,10 +128,10 @@ def by_prior(
     estimates: Mapping[str, Estimate], untold: Collection[str]
 ) -> dict[str, Estimate]:
     """Estimates, of which those of what is untold are what is usual on other ice."""
-    return {
-        name: replace(estimate, verdict=Verdict.PRIOR) if name in untold else estimate
-        for name, estimate in estimates.items()
-    }
+    as_usual = dict(estimates)
+    for name in estimates.keys() & set(untold):
+        as_usual[name] = replace(as_usual[name], verdict=Verdict.PRIOR, reason="")
+    return as_usual
 
 
 def _named(choice: Fitting) -> set[str]:

@@ -413,7 +413,7 @@ def _said_of_shared(
         for combination in first.combinations
         if set(combination.weights) <= set(shared)
     ]
-    if not together.tasks.penalty.informative:
+    if same.all() or not together.tasks.penalty.informative:
         return verdicts, tuple(combinations)
     by_data = Covariance.of(of_shared.together().held(same))
     departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
@@ -441,7 +441,7 @@ def _variations(
     same_names = {*same_in_all(throws, law)}
     held_by_throw = []
     for throw in throws:
-        names = same_names | untold_by(throw, law)
+        names = (same_names | untold_by(throw, law)) & shared.keys()
         held_by_throw.append({name: shared[name] for name in names} | usual)
     alone = ThrowsAlone.of_fits(fitted_alone(together, held_by_throw), [*shared])
     return variations_of(alone, jointly, known, together.covariates.values)
