@@ -277,12 +277,14 @@ def _label(
     result: JointResult,
     parameters: Mapping[str, Estimate],
 ) -> None:
-    """Label the horizontal axes of the panels, one of each coefficient
+    """Label the horizontal axes of the panels, one of each coefficient, with its unit,
     or combination."""
     figure.draw_without_rendering()  # ticks depend on the layout
     symbols = {name: parameter.symbol for name, parameter in parameters.items()}
     for axes, variation in zip(panels, result.variation, strict=True):
-        neat_axis(axes.xaxis, draw.in_symbols(variation.expression, symbols))
+        expression = variation.expression
+        unit = parameters[expression].unit if expression in parameters else ""
+        neat_axis(axes.xaxis, draw.in_symbols(expression, symbols), unit)
 
 
 def _season(result: JointResult) -> draw.Picture:

@@ -449,6 +449,17 @@ def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
     assert "p < 0.001" in estimates.get_title(loc="left")
 
 
+def test_a_joint_figure_has_the_units_of_what_varies(eq12_fit):
+    estimates = ((2.0, 0.1), (2.1, 0.1))
+    variations = tuple(
+        Variation(name, estimates, 0.3, 0.0, 2.05, 0.1) for name in ("v0", "mu1_xi")
+    )
+    throws = (replace(eq12_fit, rms={}),) * 2
+    of_speed, of_friction = joint_figure(a_joint_result(throws, variations)).axes
+    assert of_speed.get_xlabel().endswith("(m/s)")
+    assert "(" not in of_friction.get_xlabel()
+
+
 def test_a_joint_figure_has_room_for_all(eq12_fit):
     throws = tuple(
         replace(eq12_fit, data=replace(eq12_fit.data, file=f"season/throw-{k:02d}.csv"))
