@@ -20,18 +20,32 @@ NOISE = {"x": 0.005, "y": 0.005}
 NOT_KNOWN = ("weak", "not identifiable")
 
 
-@cache
-def fit_of(file: str, law: str) -> curlfit.FitResult:
+def alone(file: str, law: str, **choices) -> curlfit.FitResult:
     """The fit of a throw as `curlfit fit` makes it."""
     throw = curlfit.load_throw(FOLDER / file)
-    return curlfit.fit(throw, law, sigma=NOISE, details=False)
+    return curlfit.fit(throw, law, details=False, **choices)
+
+
+def beside_others(file: str, law: str, **choices) -> curlfit.FitResult:
+    """The fit of a throw as `curlfit batch` makes it."""
+    (fit,) = fit_throws([curlfit.load_throw(FOLDER / file)], law, **choices)
+    return fit
+
+
+@cache
+def fit_of(file: str, law: str) -> curlfit.FitResult:
+    """The fit of a throw whose place was measured."""
+    return alone(file, law, sigma=NOISE)
 
 
 def fits_of(file: str, law: str) -> list[curlfit.FitResult]:
     """The fit of a throw as `curlfit fit` and as `curlfit batch` make it."""
-    throw = curlfit.load_throw(FOLDER / file)
-    (beside_others,) = fit_throws([throw], law, sigma=NOISE)
-    return [fit_of(file, law), beside_others]
+    return [fit_of(file, law), beside_others(file, law, sigma=NOISE)]
+
+
+ALONE_OR_BESIDE = pytest.mark.parametrize(
+    "fitted", [alone, pytest.param(beside_others, marks=pytest.mark.slow)]
+)
 
 
 def curve_warning(fit: curlfit.FitResult) -> str:
@@ -91,20 +105,20 @@ def test_a_coefficient_at_its_bound_by_chance_determines_no_other():
     assert fit["v0"].verdict == "determined"
 
 
-def test_two_times_determine_no_exponent():
+@ALONE_OR_BESIDE
+def test_two_times_determine_no_exponent(fitted):
     """Each exponent from -0.7 to 1 has values that fit exactly."""
-    throw = curlfit.load_throw(FOLDER / "two_times.txt")
-    fit = curlfit.fit(throw, "power", details=False)
+    fit = fitted("two_times.txt", "power")
     assert {fit[name].verdict for name in ("c", "k", "v0")} <= {*NOT_KNOWN}
     assert not fit.combinations
     assert "k from -0.7 to" in curve_warning(fit)
 
 
-def test_of_a_stone_that_may_not_have_spun_no_force_of_the_spin_is_known():
+@ALONE_OR_BESIDE
+def test_of_a_stone_that_may_not_have_spun_no_force_of_the_spin_is_known(fitted):
     """The force is 0.005 m/s^2 to either side; without spin there is none."""
-    throw = curlfit.load_throw(FOLDER / "no_spin_semi_empirical.csv")
     sigma = NOISE | {"phi": 0.01}
-    fit = curlfit.fit(throw, "semi-empirical", sigma=sigma, details=False)
+    fit = fitted("no_spin_semi_empirical.csv", "semi-empirical", sigma=sigma)
     assert fit["a"].verdict in NOT_KNOWN
     assert fit["c"].verdict == "determined"
     assert fit["c"].value == pytest.approx(0.085, abs=2 * fit["c"].stderr)

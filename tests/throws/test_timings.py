@@ -78,6 +78,7 @@ def test_a_record(read):
         "hog_to_hog, hog_to_rest\n14.2, 10.3\n",
         "h2h (s)\thog_to_rest\n14.2\t10.3\n",
         "hog2hog;Hog2rest\n14,2;10,3\n",
+        "H-H;far hog to stop\n14,2;10,3\n",
         "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",
         "hog_to_hog_ms,hog_to_rest\n14200,10.3\n",
     ],

@@ -157,8 +157,9 @@ def fit_joint_request(
     """
     first = request.throws[0]
     throws = [of_throw.throw for of_throw in request.throws]
-    is_evening = bool(same_in_all(throws, first.law))
-    control = BEFORE_VARIATION if is_evening and request.may_vary else JOINT
+    control = JOINT
+    if request.may_vary and _is_evening(request.throws, request.shared):
+        control = BEFORE_VARIATION
     together = solved_together(
         request.throws, request.shared, request.covariates, progress, control
     )
@@ -181,6 +182,18 @@ def fit_joint_request(
     odd_rows = dict.fromkeys(odd_row for throw in throws for odd_row in throw.odd_rows)
     result = replace(result, throws=records, odd_rows=tuple(odd_rows))
     return result.with_derived(first.derive)
+
+
+def _same_in_all(requests: Sequence[Request]) -> set[str]:
+    """Coefficients that are the same for all throws, as in draws of an evening."""
+    throws = [request.throw for request in requests]
+    return set(same_in_all(throws, requests[0].law))
+
+
+def _is_evening(requests: Sequence[Request], shared: Collection[str]) -> bool:
+    """Whether throws are an evening of draws, which with what is usual as a prior is
+    near a quadratic."""
+    return len(requests) >= VARYING and bool(_same_in_all(requests) & set(shared))
 
 
 def solved_together(
@@ -324,12 +337,9 @@ def _equal(
     stack, tasks, solution, common, _ = together
     parameters = stack.requests[0].parameters
     shared = tuple(parameters.names_where(common))
-    same_names = same_in_all(
-        [request.throw for request in stack.requests], stack.model.law
-    )
+    same_names = _same_in_all(stack.requests)
     same = np.isin(shared, [*same_names])
-    # With what is usual as a prior, an evening of draws is near a quadratic.
-    is_evening = bool(same.any()) and len(stack.requests) >= VARYING
+    is_evening = _is_evening(stack.requests, shared)
     throws, ridge = _throws_and_ridge(together, given, quadratic=is_evening)
     first = throws[0]
     coefficients = {name: first.parameters[name] for name in shared}

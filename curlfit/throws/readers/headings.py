@@ -210,12 +210,12 @@ class Headings(NamedTuple):
         """The error of columns that are missing, with what would make other columns
         these; numbers of frames become times."""
         expected = EXPECTED
-        if not has_frames and {"t", "x", "y"} <= {*missing}:
-            expected += ", or of a stopwatch such as hog_to_hog,rest"
         if has_frames and "t" in missing:
             option = Option("units", "t=30fps")
             remedy = f"{option}, with the camera's rate, makes frames times"
         else:
+            if {"t", "x", "y"} <= {*missing}:
+                expected += ", or of a stopwatch such as hog_to_hog,rest"
             guesses: dict[str, str] = {}
             for name in reversed(self.names):
                 quantity = c.resembled(name)
